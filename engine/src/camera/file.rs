@@ -14,17 +14,17 @@
 //!
 //! | key | meaning | default |
 //! |---|---|---|
-//! | `type` | `canonical` (no other key but `time`), `orthographic`, `pinhole` or `equirectangular` (all around; it has a pose alone) | required |
+//! | `type` | `canonical` (no other key except `time`), `orthographic`, `pinhole` or `equirectangular` (all directions; it has only a pose) | required |
 //! | `time` | seconds of the video; required in `views`, strictly increasing | – |
 //! | `units` | `square`: unit of every number below, also when absent |  |
 //! | `position` | the camera's centre in square units (x right, y down, z forward) | `[0, 0, 0]` |
 //! | `rotation` | quaternion (w, x, y, z) that turns the camera's axes (right, down, forward) into scene space | none |
-//! | `look_at`, `up` | instead of `rotation`: the point looked at, and the image's up direction | `up` = `[0, -1, 0]` |
+//! | `look_at`, `up` | instead of `rotation`: the target point, and the image's up direction | `up` = `[0, -1, 0]` |
 //! | `camera_to_world` | instead of `position` and `rotation`: a matrix of 4×4 numbers, row by row, of a rotation and the camera's centre | none |
 //! | `half_extent` | orthographic: units from the centre of the view to its right and lower edge | `[width / height, 1]` of the image |
 //! | `fov_y_degrees`, `aspect` | pinhole: vertical field of view, and width / height | – |
 //! | `focal`, `centre` | pinhole: in image widths and heights | `centre` = `[0.5, 0.5]` |
-//! | `size` | orthographic: width and height of its images, for still scenes where no other size is given | – |
+//! | `size` | orthographic: width and height of its images, for still scenes if no other size is given | – |
 //! | `size`, `fx`, `fy`, `cx`, `cy` | pinhole: in pixels of an image of `size` = [width, height], pixel centres at whole numbers | – |
 //!
 //! A pinhole view has exactly one of the three forms of the lens. Unknown keys are errors.

@@ -66,9 +66,9 @@ impl FromStr for NetworkOptions {
     /// | `size=N` or `size=WxH` | shorter side, or width and height, of an input whose size the network leaves open | `518` |
     /// | `multiple=N` | sides left open are rounded to a multiple of N | `14` |
     /// | `mean=R/G/B` | subtracted from colours in [0, 1]; one number applies to all three | `0.485/0.456/0.406` |
-    /// | `std=R/G/B` | what they are divided by then | `0.229/0.224/0.225` |
+    /// | `std=R/G/B` | divisors after the subtraction | `0.229/0.224/0.225` |
     /// | `metric` | the network returns depth, not inverse depth; it is inverted | |
-    /// | `output=NAME` | which output is the map, where there are several | the only one |
+    /// | `output=NAME` | the output that is the map, if there are several | the only one |
     fn from_str(text: &str) -> Result<Self, WrongOption> {
         let mut options = NetworkOptions::default();
         let mut seen: Vec<&str> = Vec::new();

@@ -16,7 +16,7 @@
 //! | 16 | f32: side of a bucket |
 //! | 20 | u16: bytes of a bucket (12) |
 //! | 24 | u32: range r of the places in a bucket; 0 means the level's default |
-//! | 32, 36 | u32: full buckets, and those that are not |
+//! | 32, 36 | u32: number of full buckets, and of others |
 //! | 40 | u16: degree of the harmonics, 0 to 2 |
 //!
 //! Sections follow their headers: the lengths of the buckets that are not full (u32), the buckets' middles m (three f32

@@ -3,7 +3,7 @@
 //! | key | value |
 //! |---|---|
 //! | `version` | 1, or absent |
-//! | `lodLevels` | number of levels; 0 has most Gaussians |
+//! | `lodLevels` | number of levels; level 0 has the most Gaussians |
 //! | `counts` | Gaussians of each level; may be absent |
 //! | `filenames` | the scenes' `meta.json` |
 //! | `tree` | nodes with `children`, or with `lods`: for a level `{file, offset, count}`, a range of a scene's Gaussians |

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | the folder of a scene or of a run, a `scene.json` | `{` | a [`Scene`] |
 //! | a container (`.ssz`) | `ssplat` | a [`Scene`] |
-//! | a still scene in one of the [`FORMATS`], or one that is [`READ_ONLY`] | see there | a [`Still`] |
+//! | a still scene in one of the [`FORMATS`], or one that is [`READ_ONLY`] | see these constants | a [`Still`] |
 //! | a PLY file of SpacetimeGaussians | `ply`, and its columns | a [`Spacetime`], which is a [`Still`] at any time |
 //!
 //! `.splat` and `.ksplat` have no magic bytes and are recognised by their file names. For any other file,

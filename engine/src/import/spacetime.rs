@@ -4,8 +4,8 @@
 //!
 //! | column | value |
 //! |---|---|
-//! | `trbf_center`, `trbf_scale` | the time c at which it is most opaque, and the logarithm of how long it is |
-//! | `motion_0` … `motion_8` | the coefficients m₁, m₂, m₃ of its way, three axes each |
+//! | `trbf_center`, `trbf_scale` | the time c of its highest opacity, and the logarithm of its duration |
+//! | `motion_0` … `motion_8` | the coefficients m₁, m₂, m₃ of its path, three axes each |
 //! | `omega_0` … `omega_3` | change ω of its quaternion; absent: 0 |
 //!
 //! At the time t, with d = t − c:

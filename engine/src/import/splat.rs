@@ -140,7 +140,7 @@ mod tests {
             let cosine: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
             assert!(cosine.abs() > 1.0 - 1e-4, "{cosine}");
         }
-        // Writing what was read returns the same bytes.
+        // Writing the scene again returns the same bytes.
         assert!(export::still::splat(&again)[..28] == file[..28]);
     }
 

@@ -29,10 +29,10 @@
 //!
 //! | interval | result |
 //! |---|---|
-//! | a camera that does not move, one that only turns, one plane, no one motion that half of the matches fit, a median parallax of less than 0.4 pixels of 512 | the inverse depth of the frame before, carried along the flow; its confidence falls from key frame to key frame |
-//! | nothing to carry, or nothing left of its confidence | none: the frame is as without a map |
-//! | flow that is no number | none |
-//! | one inverse depth all over | none |
+//! | a camera that does not move or only turns, a single plane, no motion that half of the matches fit, a median parallax of less than 0.4 pixels of 512 | the inverse depth of the previous frame, carried along the flow; its confidence falls with each key frame |
+//! | no depth to carry, or one without confidence | none: the frame is processed without a map |
+//! | flow with NaN | none |
+//! | constant inverse depth | none |
 //!
 //! A stream's first key frame has no flow. Its depth is computed together with the second key frame's, along the flow
 //! to that frame, and joined with it.

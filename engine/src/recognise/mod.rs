@@ -4,12 +4,12 @@
 //! records of runs use this module, so that their messages agree. A kind is recognised by its first bytes. The name
 //! decides only if several kinds begin alike, or if a format has no magic number.
 //!
-//! | found | recognised by | what to do |
+//! | found | recognised by | advice |
 //! |---|---|---|
-//! | a video, a sound, an image | first bytes (`media`) | `streamsplat run` makes a scene of a video |
+//! | a video, a sound, an image | first bytes (`media`) | `streamsplat run` makes a scene from a video |
 //! | a web page, a Git LFS pointer | first words | download the file itself |
 //! | an archive, a compressed file | first bytes, and the names in a zip file (`archive`) | unpack it |
-//! | an array of NumPy, a checkpoint of PyTorch, a point cloud or mesh | first bytes, a PLY or glTF header (`geometry`) | the tool that makes Gaussians of it |
+//! | an array of NumPy, a checkpoint of PyTorch, a point cloud or mesh | first bytes, a PLY or glTF header (`geometry`) | use the tool that makes Gaussians from it |
 //! | a folder | the names in it (`folder`) | name the file in it |
 //! | text that is not JSON | no control characters | |
 

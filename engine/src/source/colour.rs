@@ -3,15 +3,15 @@
 //! | tag | conversion |
 //! |---|---|
 //! | matrix bt709, bt470bg, smpte170m, fcc, smpte240m, bt2020nc | [`Matrix`] of that standard, in our own arithmetic |
-//! | matrix gbr, or an RGB format | samples are used as they are |
-//! | other matrices (bt2020c, ictcp, ycgco, chroma-derived) | ffmpeg's zscale filter makes BT.709 of them |
-//! | no matrix | by size: BT.709 above 1024 columns or 576 rows, else BT.601, as video of those sizes is made ([`Matrix::of_size`]) |
+//! | matrix gbr, or an RGB format | none: samples are used unchanged |
+//! | other matrices (bt2020c, ictcp, ycgco, chroma-derived) | ffmpeg's zscale filter converts to BT.709 |
+//! | no matrix | by size: BT.709 above 1024 columns or 576 rows, else BT.601, the usual matrices of these sizes ([`Matrix::of_size`]) |
 //! | range tv, pc | limited, full; untagged YCbCr is limited, untagged grey and RGB are full |
-//! | primaries bt2020, smpte431, smpte432 | zscale makes BT.709 of them, with the curve of BT.1886 for the BT.709 family |
-//! | other primaries | taken as BT.709's: those of BT.601 lie near, and players do the same |
-//! | transfer arib-std-b67, smpte2084 | high dynamic range: brought to BT.709 of standard range |
+//! | primaries bt2020, smpte431, smpte432 | zscale converts to BT.709, with the curve of BT.1886 for the BT.709 family |
+//! | other primaries | treated as BT.709's: those of BT.601 are close, and players do the same |
+//! | transfer arib-std-b67, smpte2084 | high dynamic range: converted to BT.709 of standard range |
 //! | transfer linear | the curve of sRGB is applied |
-//! | other transfers | taken as they are: samples are display-referred |
+//! | other transfers | none: samples are display-referred |
 
 /// The factors of one Y'CbCr matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]

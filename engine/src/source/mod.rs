@@ -3,7 +3,7 @@
 //! | input | meaning |
 //! |---|---|
 //! | a folder | its images ([`folder::EXTENSIONS`]) in natural order; hidden and other files are ignored |
-//! | an image file | a video of one frame; of all its frames where it is an animated PNG or WebP, of its pages where it is a TIFF |
+//! | an image file | a video of one frame; for an animated PNG or WebP, of all its frames; for a TIFF, of its pages |
 //! | `*.y4m`, or a file that starts as one | read by [`y4m`] |
 //! | `-` | y4m on standard input |
 //! | any other file | decoded by an installed [`ffmpeg`] program |

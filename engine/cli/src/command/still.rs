@@ -1,4 +1,4 @@
-//! Still scenes, such as PLY files, in `render`, `export` and `inspect`.
+//! Still scenes, for example PLY files, in `render`, `export` and `inspect`.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};

@@ -114,7 +114,7 @@ fn tunnel(address: SocketAddr, connection: Option<&str>) -> Option<String> {
     Some(format!("from another machine: ssh -N -L {port}:{end} {here}, then http://localhost:{port}/"))
 }
 
-/// Returns the tags that give a link to the page its preview; the poster is next to the page.
+/// Returns the tags for the preview of a link to the page; the poster is next to the page.
 fn link(title: String, url: Option<&str>, file: &Path, image: &Path) -> Link {
     let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let folder = url.map(|url| url.strip_suffix(&name(file)).unwrap_or(url));

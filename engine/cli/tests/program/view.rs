@@ -139,7 +139,7 @@ fn a_run_that_is_watched_writes_the_same_bytes() {
     run.arg("run").arg(&clip).arg("--out").arg(&watched).arg("--model").arg(model()).args(["--gap", "2", "--serve=0"]);
     let mut run = Ending(run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts"));
     let address = address(run.0.stderr.take().expect("piped"));
-    // Clients are told the end of the stream, and the page stays until Ctrl-C.
+    // Clients receive the end of the stream, and the page stays until Ctrl-C.
     let end = std::time::Instant::now() + Duration::from_secs(60);
     loop {
         let scene: serde_json::Value = serde_json::from_slice(&get(&address, "/scene.json")).expect("JSON");

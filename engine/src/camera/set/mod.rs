@@ -1,11 +1,11 @@
 //! Camera files of other programs, recognised by content.
 //!
-//! | input | is | axes of a camera | what is read |
+//! | input | format | axes of a camera | content read |
 //! |---|---|---|---|
 //! | a JSON array | `cameras.json` of 3D Gaussian splatting ([`inria`]) | x right, y down, z forward | position, rotation, focal lengths, principal point |
 //! | a JSON object with `frames` | `transforms.json` of nerfstudio and instant-ngp ([`transforms`]) | OpenGL: x right, y up, z backward | poses, focal lengths or angles, principal point |
-//! | a JSON object with `camera_path` | the camera path of nerfstudio's viewer ([`camera_path`]) | OpenGL | poses, fields of view, images a second |
-//! | a JSON object with `cameras`, `animTracks`, or `camera` | `settings.json` of SuperSplat ([`supersplat`]) | a point looked at | the first camera, or the animation |
+//! | a JSON object with `camera_path` | the camera path of nerfstudio's viewer ([`camera_path`]) | OpenGL | poses, fields of view, images per second |
+//! | a JSON object with `cameras`, `animTracks`, or `camera` | `settings.json` of SuperSplat ([`supersplat`]) | a target point | the first camera, or the animation |
 //! | a folder, or a file in it, with `cameras` and `images` as `.bin` or `.txt` | a COLMAP model ([`colmap`]) | x right, y down, z forward | poses, rigs, cameras `SIMPLE_PINHOLE` and `PINHOLE` |
 //! | a JSON object with `type` or `views` | this program's own ([`super::file`]) | x right, y down, z forward | a camera or a path |
 //!

@@ -66,7 +66,7 @@ impl Reader for Ply {
     }
 
     fn read_blocks(&self, file: &mut Blocks<'_>, limits: &Limits) -> Result<Option<Still>, ReadError> {
-        // Longer headers are rare, and reading so many bytes of every file would cost time.
+        // Longer headers are rare, and reading that many bytes of every file would cost time.
         let usual = Header::read(file.head(USUAL_HEADER)?).is_ok();
         let head = file.head(if usual { USUAL_HEADER } else { MAX_HEADER as u64 })?;
         let (header, body) = Header::read(head)?;

@@ -3,9 +3,9 @@
 //! | word of a vertex | bits | value |
 //! |---|---|---|
 //! | `packed_position` | 11, 10, 11 | x, y, z between the chunk's `min_x` and `max_x`, … |
-//! | `packed_rotation` | 2, 10, 10, 10 | which of w, x, y, z is largest, and the others in that order: `(b / 1023 − ½)·√2` |
+//! | `packed_rotation` | 2, 10, 10, 10 | index of the largest of w, x, y, z, and the others in that order: `(b / 1023 − ½)·√2` |
 //! | `packed_scale` | 11, 10, 11 | logarithms between `min_scale_x` and `max_scale_x`, … |
-//! | `packed_color` | 8, 8, 8, 8 | red, green and blue, between `min_r` and `max_r`, … where the chunks have them, and opacity |
+//! | `packed_color` | 8, 8, 8, 8 | red, green and blue, between `min_r` and `max_r`, … if the chunks have them, and opacity |
 //!
 //! Fields are listed from the high bits down; a value is `min + (max − min)·b / (2ⁿ − 1)`. An optional element `sh` has
 //! 9, 24 or 45 bytes per vertex, in the order of `f_rest`: `8·((b + ½) / 256 − ½)`, where 0 means −4 and 255 means 4.

@@ -7,7 +7,7 @@
 //! | alphas | 1 | 255 times the opacity |
 //! | colours | 3 | `255·(0.15·c + ½)` of the harmonics' first coefficients |
 //! | scales | 3 | `16·(ln s + 10)` |
-//! | rotations | 4 (3 before version 3) | the three smallest components in ten bits each, and which is the largest (x, y and z in eight bits each) |
+//! | rotations | 4 (3 before version 3) | the three smallest components in ten bits each, and the index of the largest (x, y and z in eight bits each) |
 //! | harmonics | 9, 24, 45 or 72 | `128·(c + 1)`, coefficients outermost; of degree 4 those up to degree 3 are kept |
 //!
 //! Opacities of 0 and 255 stay within 10⁻¹² of 0 and 1. Version 1 has the rotations of version 2. Its positions are

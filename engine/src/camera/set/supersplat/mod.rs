@@ -2,7 +2,7 @@
 //!
 //! | version | first camera | animations |
 //! |---|---|---|
-//! | none | `camera`: `position`, `target`, `fov` (75 where it is left out) | `animTracks` (`fov` is the camera's, or 60) |
+//! | none | `camera`: `position`, `target`, `fov` (default 75) | `animTracks` (`fov` is the camera's, or 60) |
 //! | 2 | `cameras`, each with `initial`: `position`, `target`, `fov` | `animTracks` |
 //!
 //! The viewer shows a file's scene after a half turn about z and has y up. So the point (x, y, z) of the settings is
