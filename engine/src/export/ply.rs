@@ -25,10 +25,8 @@ pub fn of_still(still: &Still) -> Vec<u8> {
 /// Writes a still scene as a binary PLY file.
 ///
 /// Positions are in scene space (x right, y down, z forward; scene units), as doubles if the scene has an offset.
-/// Normals are 0. `f_rest` has all coefficients of the first channel, then the second, then the third; none at degree
-/// 0. `opacity` is a logit, `scale` are logarithms, and `rot` has w first. Values keep the scene's own bits. Records
-/// are in the scene's order. `comment SplatRenderMode: mip` marks scenes trained with anti-aliasing.
-/// 0. `opacity` is a logit and `scale` logarithms; both and `rot` (w first) and `f_dc` have the scene's own bits.
+/// Normals are 0. `f_rest` has all coefficients of the first channel, then the second, then the third; there are none
+/// at degree 0. `opacity` is a logit, `scale` are logarithms, and `rot` has w first. Values keep the scene's own bits.
 /// Records are in the scene's order. `comment SplatRenderMode: mip` marks scenes trained with anti-aliasing.
 ///
 /// # Panics
