@@ -1,5 +1,4 @@
-//! Tells the program which commit it is made from: `STREAMSPLAT_COMMIT` where that is set, else what git says, else
-//! `unknown`.
+//! Passes the program the commit that it is built from: `STREAMSPLAT_COMMIT` if set, else git's output, else `unknown`.
 
 use std::path::Path;
 use std::process::Command;

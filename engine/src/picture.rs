@@ -4,10 +4,10 @@ use streamsplat_kernels::Level;
 
 use crate::fit::{Fit, Placement};
 
-/// Largest width or height a picture may have, in pixels.
+/// Maximum width or height of a picture, in pixels.
 pub const MAX_SIDE: usize = 32_768;
 
-/// Largest number of pixels a picture may have (a 16:9 picture of 10,922 × 6,144); its three f32 planes take 768 MiB.
+/// Maximum number of pixels of a picture (a 16:9 picture of 10,922 × 6,144); its three f32 planes take 768 MiB.
 pub const MAX_PIXELS: usize = 1 << 26;
 
 /// RGB in display (gamma) space, nominally in `[0, 1]`, as three planes `[3, height, width]`, row-major.
@@ -23,7 +23,7 @@ pub struct Picture {
 
 /// Returns true if a picture of this size may be decoded: at least one pixel, within [`MAX_SIDE`] and [`MAX_PIXELS`].
 ///
-/// Asked before any memory is taken for the samples.
+/// Checked before memory for the samples is allocated.
 pub fn size_is_allowed(width: usize, height: usize) -> bool {
     (1..=MAX_SIDE).contains(&width) && (1..=MAX_SIDE).contains(&height) && width * height <= MAX_PIXELS
 }
@@ -35,16 +35,16 @@ impl AsRef<Picture> for Picture {
 }
 
 impl Picture {
-    /// A picture of these planes; `None` unless `rgb` holds `3 · width · height` samples.
+    /// Returns a picture of these planes; `None` unless `rgb` holds `3 · width · height` samples.
     pub fn new(width: usize, height: usize, rgb: Vec<f32>) -> Option<Picture> {
         let samples = width.checked_mul(height)?.checked_mul(3)?;
         (rgb.len() == samples).then_some(Picture { width, height, rgb })
     }
 
-    /// The picture at another size, bilinearly.
+    /// Resizes the picture bilinearly.
     ///
     /// # Panics
-    /// When a side is zero.
+    /// If a side is zero.
     pub fn resized(&self, width: usize, height: usize) -> Picture {
         if (self.width, self.height) == (width, height) {
             return self.clone();
@@ -53,7 +53,7 @@ impl Picture {
         Picture { width, height, rgb }
     }
 
-    /// Interleaved 8-bit samples: each clamped to `[0, 1]`, times 255, rounded half up. NaN becomes 0.
+    /// Converts to interleaved 8-bit samples: each clamped to `[0, 1]`, times 255, rounded half up. NaN becomes 0.
     pub fn to_rgb8(&self) -> Vec<u8> {
         let plane = self.width * self.height;
         let mut bytes = vec![0u8; 3 * plane];
@@ -65,7 +65,7 @@ impl Picture {
         bytes
     }
 
-    /// The planes of interleaved 8-bit samples, each divided by 255.
+    /// Converts interleaved 8-bit samples, each divided by 255, to a picture.
     pub fn from_rgb8(width: usize, height: usize, bytes: &[u8]) -> Option<Picture> {
         let plane = width.checked_mul(height)?;
         if bytes.len() != plane.checked_mul(3)? {
@@ -81,11 +81,10 @@ impl Picture {
     }
 }
 
-/// Planes of `[height, width]` brought to another size bilinearly (half-pixel centres), as frames are brought to a
-/// model's size.
+/// Resizes planes of `[height, width]` bilinearly (half-pixel centres), as frames are resized to a model's size.
 ///
 /// # Panics
-/// When a side is zero or `planes` does not hold a whole number of planes.
+/// If a side is zero or `planes` does not hold whole planes.
 pub fn resize_planes(planes: &[f32], from: [usize; 2], to: [usize; 2]) -> Vec<f32> {
     match Placement::new(Fit::Stretch, from, to) {
         Some(placement) => placement.fit_in(Level::detect(), planes),
@@ -93,9 +92,9 @@ pub fn resize_planes(planes: &[f32], from: [usize; 2], to: [usize; 2]) -> Vec<f3
     }
 }
 
-/// `value` clamped to `[0, 1]`, times 255, rounded half up; NaN becomes 0.
+/// Returns `value` clamped to `[0, 1]`, times 255, rounded half up; NaN becomes 0.
 pub fn to_u8(value: f32) -> u8 {
-    // `as` saturates and sends NaN to 0.
+    // `as` saturates and maps NaN to 0.
     (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 

@@ -1,7 +1,7 @@
 //! The `streamsplat` program: commands, exit codes, messages.
 //!
 //! Exit codes: 0 done, 1 the work failed, 2 wrong use, 130 stopped by the user. An error is one line on standard error
-//! that names the file, the tensor or the option, what was expected and what was found.
+//! with the file, the tensor or the option, the expected value and the one found.
 #![deny(unsafe_code)]
 
 mod command;
@@ -25,7 +25,7 @@ pub fn main() -> ExitCode {
     ExitCode::from(run(std::env::args_os()))
 }
 
-/// Runs the program with these arguments, the first of which is its name, and gives its exit code.
+/// Runs the program with these arguments, the first of which is its name, and returns its exit code.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let cli = match Cli::read(arguments) {
         Ok(cli) => cli,
@@ -69,7 +69,7 @@ fn finish(result: Result<(), Failure>) -> u8 {
     }
 }
 
-/// What was meant by a word that other programs know.
+/// Returns a hint for a command or option that other programs have.
 fn hint(error: &clap::Error) -> Option<String> {
     let word = |kind| error.get(kind).map(ToString::to_string);
     if error.kind() == ErrorKind::InvalidSubcommand {
@@ -94,7 +94,7 @@ fn hint(error: &clap::Error) -> Option<String> {
     Some(hint.to_owned())
 }
 
-/// Error message of clap in one line, without usage and hints.
+/// Returns clap's error message in one line, without usage and hints.
 fn one_line(error: &clap::Error) -> String {
     let text = error.to_string();
     let said = text.split("\n\n").next().unwrap_or(&text);

@@ -1,5 +1,5 @@
-//! The example program of the README writes what the command line writes. Alone in its process, whose working folder it
-//! changes.
+//! The example program of the README writes the same results as the command line. It changes the working folder, so it
+//! is alone in its process.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,7 +8,7 @@ use std::process::Command;
 #[path = "../../examples/run.rs"]
 mod example;
 
-/// The files in a folder but its records, which hold times.
+/// Returns the files in a folder except its records, which contain times.
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in std::fs::read_dir(folder).expect("a folder").flatten() {

@@ -1,4 +1,4 @@
-//! The example program of still scenes draws what the command line draws.
+//! The example program of still scenes draws the same as the command line.
 
 use std::process::Command;
 

@@ -1,4 +1,4 @@
-// Bytes of a file. A file is anything that has a `size` and reads bytes: { size, read(from, length) }.
+// Byte access to files. A file is any object with a `size` that reads bytes: { size, read(from, length) }.
 
 import { wrong } from "./errors.js";
 

@@ -1,31 +1,36 @@
-// The camera: it looks at a target from some side.
+// The camera: a target, and the side from which it is seen.
 //
-// Scene space is x right, y down, z forward. Cameras live in its square units: x and z times the aspect of the model's input, so that a unit is
-// half the input's height. From straight ahead with parallel rays it is the source's own view: the content of the input fills the image. With
-// perspective things at the target's distance keep their size.
+// Scene space is x right, y down, z forward. Cameras use its square units: x and z times the aspect of the model's input, so that a unit is half the
+// input's height. From straight ahead, orthographic, the view is the source's own: the content of the input fills the image. With perspective,
+// objects at the target's distance keep their size.
 //
-// A still scene has no such view: it is seen in perspective from where still/framing.rs puts the camera, in the file's own units.
+// A still scene has no source view. It is seen in perspective from the position that still/framing.rs computes, in the file's own units.
 
 const TURN = Math.PI / 180;
 export const STEEPEST = 85;
-/** Distance of parallel rays' start, in half widths: behind everything, as depths end at 5. */
+/** Distance of an orthographic camera, in half widths: in front of everything, as depths end at 5. */
 const BEHIND = 12;
-/** Distance of a perspective camera, in half longer sides: they fill 45 degrees. */
+/** Distance of a perspective camera, in half longer sides, which then fill 45 degrees. */
 const AWAY = 2.4;
-/** Of still scenes, as still/framing.rs has them: half the vertical field of view, elevation, the part of the image that is filled, and how much deeper
- * than wide a scene is that is seen from its side. */
+/**
+ * For still scenes, as in still/framing.rs: half the vertical field of view, the elevation, the filled part of the image, and the ratio of depth to
+ * width above which a scene is seen from its side.
+ */
 const FRAMING = { half: 22.5, elevation: 12, fill: 0.8, deeper: 1.25 };
 
-/** Degrees to each side that a scene in time is turned freely, and how many more it nears, ever more slowly. It has been filmed from one side alone. */
+/**
+ * Degrees on each side through which a scene in time turns freely, and the limit of the additional degrees, which it approaches ever more slowly. The
+ * scene was filmed from one side only.
+ */
 const FREE = 15;
 const GIVE = 15;
-/** Seconds in which most of what is beyond springs back. */
+/** Time constant, in seconds, of springing back to the free range. */
 const SPRING = 0.15;
 
 export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 export const clamp = (x, low, high) => Math.min(high, Math.max(low, x));
 
-/** A camera's right, down and forward. */
+/** Returns a camera's right, down and forward. */
 export function axesOf({ yaw, pitch }) {
   const [sy, cy] = [Math.sin(yaw * TURN), Math.cos(yaw * TURN)];
   const [sp, cp] = [Math.sin(pitch * TURN), Math.cos(pitch * TURN)];
@@ -39,17 +44,17 @@ export class Camera {
     this.middle = [0, 0]; // its middle
     this.aspect = 16 / 9; // of the source's frames
     this.units = 16 / 9; // square units along x and z per unit of scene space
-    this.depth = 0.5; // of the target, in scene space
+    this.depth = 0.5; // depth of the target, in scene space
     this.perspective = false;
     this.box = null; // of a still scene: its middle and half extents
-    this.unit = 1; // of shifts, in scene units
-    /** Whether turning is resisted beyond FREE. */
+    this.unit = 1; // unit of shifts, in scene units
+    /** Whether turning beyond FREE is resisted. */
     this.bounded = false;
     this.home = { yaw: 0, pitch: 0, lens: "parallel" };
     this.reset();
   }
 
-  /** Back to the source's view, or to where a still scene is seen whole from. */
+  /** Returns to the source's view, or to the view of a whole still scene. */
   reset() {
     this.yaw = this.home.yaw;
     this.pitch = this.home.pitch;
@@ -57,7 +62,7 @@ export class Camera {
     this.shift = [0, 0, 0];
   }
 
-  /** Learns where the content lies in the model's input. */
+  /** Sets the position of the content in the model's input. */
   place({ source, model, offset, content }) {
     this.aspect = source[1] / source[0];
     this.units = (this.aspect * content[0] * model[1]) / (content[1] * model[0]);
@@ -69,7 +74,7 @@ export class Camera {
     this.middle = [this.units * ((2 * offset[1] + content[1]) / model[1] - 1), (2 * offset[0] + content[0]) / model[0] - 1];
   }
 
-  /** Learns what box most of a still scene lies in. */
+  /** Sets the box that contains most of a still scene. */
   frame({ least, greatest }) {
     const middle = least.map((low, i) => 0.5 * (low + greatest[i]));
     const half = least.map((low, i) => 0.5 * (greatest[i] - low));
@@ -79,7 +84,7 @@ export class Camera {
     this.reset();
   }
 
-  /** From how far a still scene's box is seen whole from its widest side, with focal lengths in parts of the image. */
+  /** Returns the distance at which a still scene's box is completely visible from its widest side; focal lengths are fractions of the image. */
   distance(focal) {
     const axes = axesOf(this.home);
     let distance = 0;
@@ -97,12 +102,12 @@ export class Camera {
     return [x + this.shift[0], y + this.shift[1], this.units * this.depth + this.shift[2]];
   }
 
-  /** The camera's right, down and forward. */
+  /** Returns the camera's right, down and forward. */
   get axes() {
     return axesOf(this);
   }
 
-  /** The view in an image of width × height pixels; `focal` as splat.vert wants it. */
+  /** Returns the view in an image of width × height pixels, with `focal` in the form of splat.vert. */
   view(width, height) {
     if (this.box) return this.stillView(width, height);
     const fitted = Math.min(width, height * this.aspect);
@@ -115,11 +120,11 @@ export class Camera {
     return { width, height, axes, eye, focal, own: this.own, units: this.units, pinhole: this.perspective, distance };
   }
 
-  /** The same of a still scene; `ends` are the depths of the scale's ends. */
+  /** Returns the view of a still scene; `ends` are the depths of the scale's ends. */
   stillView(width, height) {
     const length = 0.5 / Math.tan(FRAMING.half * TURN);
     const whole = this.distance([(length * height) / width, length]);
-    // Parallel rays start far before everything that is not a floater.
+    // Orthographic rays start far before everything except stray Gaussians.
     const distance = this.perspective ? whole / this.zoom : whole + 100 * this.unit;
     const axes = this.axes;
     const eye = this.target.map((x, i) => x - axes[2][i] * distance);
@@ -134,7 +139,7 @@ export class Camera {
     this.pitch = clamp(this.resisted(this.pitch, -down), -STEEPEST, STEEPEST);
   }
 
-  /** An angle turned by so many degrees: where it is bounded, x degrees beyond FREE come to GIVE·(1 − e^(−x / GIVE)). */
+  /** Returns an angle turned by some degrees. If it is bounded, x degrees beyond FREE become GIVE·(1 − e^(−x / GIVE)). */
   resisted(angle, by) {
     if (!this.bounded) return angle + by;
     const beyond = Math.abs(angle) - FREE;
@@ -145,7 +150,7 @@ export class Camera {
     return over > 0 ? Math.sign(next) * (FREE + GIVE * (1 - Math.exp(-over / GIVE))) : next;
   }
 
-  /** Springs back to where turning is free, as far as that goes in so many seconds; returns whether it moved. */
+  /** Springs back towards the free range for some seconds; returns whether the camera moved. */
   settle(seconds) {
     if (!this.bounded) return false;
     const sprung = (angle) => {
@@ -170,10 +175,10 @@ export class Camera {
   }
 }
 
-/** The depth beyond which a view shows things. */
+/** The depth from which a view shows objects. */
 export const nearest = ({ pinhole, still }) => (!pinhole ? 0 : still ? 1e-6 : 1e-3);
 
-/** Where a view shows a scene-space point: pixels from the upper left corner, and depth. */
+/** Returns the image position of a scene-space point in a view: pixels from the upper left corner, and depth. */
 export function project({ width, height, axes, eye, focal, units, pinhole }, [right, down, forward]) {
   const away = [units * right - eye[0], down - eye[1], units * forward - eye[2]];
   const [x, y, z] = axes.map((axis) => dot(axis, away));
@@ -181,7 +186,7 @@ export function project({ width, height, axes, eye, focal, units, pinhole }, [ri
   return [focal[0] * x * near + 0.5 * width, focal[1] * y * near + 0.5 * height, z];
 }
 
-/** The view as `streamsplat render --camera` reads it. */
+/** Returns the view in the form that `streamsplat render --camera` reads. */
 export function cameraFile({ width, height, axes, eye, focal, pinhole }) {
   const numbers = (list) => list.map((x) => Number(x.toPrecision(12)) + 0);
   const pose = { units: "square", position: numbers(eye), look_at: numbers(eye.map((x, i) => x + axes[2][i])) };

@@ -1,4 +1,4 @@
-// Chunks of a container, or of a page, made into packets. Columns: docs/container.md; differences of a page's: scene/container/images.rs.
+// Decoder of chunks of a container, or of a page, to packets. Columns: docs/container.md; differences in a page: scene/container/images.rs.
 
 import { wrong } from "./errors.js";
 import { HEADER, RECORD, SHORTS, WORDS, halfBits } from "./packet.js";
@@ -10,27 +10,27 @@ const NAMES = (
 const [KIND, LINK, CODE, IDENTITY, BIRTH, FRAME, FIRST, MERGE] = [0, 1, 2, 3, 4, 5, 6, 27];
 const FRESH = 0;
 const CARRIED = 1;
-/** Numbers per record, and where they are. */
+/** Number of values per record, and their positions. */
 export const VALUES = 21;
 const [OFFSET_AT, OPACITY_AT, SCALE_AT, GREEN_AT, VELOCITY_AT, GAMMA_AT, RATE_AT, THICKNESS_AT] = [3, 6, 7, 9, 12, 15, 17, 20];
-/** Those that the record before predicts, and those that a record of the interval before does. Offsets are in no packet. */
+/** Values predicted from the previous record, and values predicted from a record of the previous interval. Offsets are in no packet. */
 const SINCE_LAST = Array.from({ length: THICKNESS_AT - VELOCITY_AT }, (_, k) => VELOCITY_AT + k);
 const SINCE_LINK = [0, 1, 2, 6, 7, 8, 9, 10, 11, THICKNESS_AT];
-/** Columns that are empty where all their differences are 0. */
+/** Columns that are empty if all their differences are 0. */
 const isRare = (column) => column >= FIRST + RATE_AT && column < MERGE;
 /** Columns of which only the lengths are read. */
 const isSkipped = (column) => column >= MERGE || (column >= FIRST + OFFSET_AT && column < FIRST + OPACITY_AT);
-/** World units to their whole numbers; the largest magnitude of those; the ranges of logarithms. */
+/** Factor from world units to integers; the largest magnitude of the integers; the ranges of logarithms. */
 const LENGTH = 8192;
 const LIMIT = 2 ** 46;
 const [LEAST_SCALE, MOST_SCALE, MOST_GAMMA] = [-9664, 8128, 4092];
-/** Gaussians of an interval at most; bytes that deflate makes of one; bytes of a number. */
+/** Maximum number of Gaussians of an interval; maximum bytes that deflate makes from one; maximum bytes per number. */
 export const MOST_GAUSSIANS = 2 ** 24;
 const INFLATION = 1032;
 const LONGEST = 10;
 const SEEN_AT = Math.fround(1 / 255);
 
-/** The bytes of a deflate stream, which are `length`. */
+/** Inflates a deflate stream to `length` bytes. */
 async function inflated(bytes, length, name) {
   const other = (found) => wrong(name, `a deflated stream of ${length} bytes`, found);
   const reader = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw")).getReader();
@@ -52,7 +52,7 @@ async function inflated(bytes, length, name) {
   return whole ?? new Uint8Array(0);
 }
 
-/** The first `most` numbers that a column's bytes hold, as two words each, the low one first: [low, high, where the next one begins]. */
+/** Decodes the first `most` numbers in a column's bytes, as two words each, the low one first: [low, high, start of the next number]. */
 function wordsAt(bytes, from, name) {
   let [low, high, at] = [0, 0, from];
   for (let shift = 0; shift < 70; shift += 7) {
@@ -68,7 +68,7 @@ function wordsAt(bytes, from, name) {
   throw wrong(name, "another number", "one too long");
 }
 
-/** The numbers of a column. Magnitudes above 2⁵³ are rounded: no value may be as large. */
+/** Decodes the numbers of a column. Magnitudes above 2⁵³ are rounded; valid values are smaller. */
 function numbersOf(bytes, count, name, signed) {
   if (bytes.length < count) throw wrong(name, `${count} values`, `${bytes.length} bytes`);
   const numbers = new Float64Array(count);
@@ -86,7 +86,7 @@ function numbersOf(bytes, count, name, signed) {
   return numbers;
 }
 
-/** A column of signed 64-bit numbers that are taken one by one, into `low` and `high`. */
+/** Decodes a column of signed 64-bit numbers, one by one, into `low` and `high`. */
 class Wide {
   constructor(bytes, name) {
     [this.bytes, this.name, this.at] = [bytes, name, 0];
@@ -107,17 +107,17 @@ class Wide {
   }
 }
 
-/** Writes a + sign·b, modulo 2⁶⁴, to place i of `out`, which holds two words for each number. */
+/** Writes a + sign·b, modulo 2⁶⁴, to index i of `out`, which holds two words per number. */
 function putSum(out, i, low, high, { low: l, high: h }, sign) {
   const sum = low + sign * l;
   out[2 * i] = sum;
   out[2 * i + 1] = high + sign * h + Math.floor(sum / 2 ** 32);
 }
 
-/** Whether a version has a column. */
+/** Returns whether a version has a column. */
 const isStored = (version, column) => (version === 1 ? !isRare(column) : version > 2 || column !== FIRST + THICKNESS_AT);
 
-/** The columns of a chunk as bytes; those that are skipped are empty. */
+/** Returns the columns of a chunk as bytes; skipped columns are empty. */
 async function columnsOf(chunk, version, counted) {
   const count = counted ?? MOST_GAUSSIANS;
   const view = new DataView(chunk.buffer, chunk.byteOffset, chunk.byteLength);
@@ -135,20 +135,20 @@ async function columnsOf(chunk, version, counted) {
     if (whole && !isSkipped(column)) taken.push({ column, name, whole, deflated: chunk.subarray(at + 8, at + 8 + stored) });
     at += 8 + stored;
   }
-  // The text of a page's chunk may end in a byte of its last digits.
+  // The text of a page's chunk may end in a byte of padding from its last digits.
   if (counted !== null && at !== chunk.length) throw wrong("chunk", "its end after the last column", `${chunk.length - at} more bytes`);
-  // Nothing is inflated before all lengths are known.
+  // Nothing is inflated before all lengths are checked.
   const bytes = await Promise.all(taken.map(({ deflated, whole, name }) => inflated(deflated, whole, name)));
   taken.forEach(({ column }, k) => (columns[column] = bytes[k]));
   return columns;
 }
 
-/** The records of an interval before an independent one. */
+/** The previous records of an independent interval: none. */
 const NONE = { count: 0 };
 
 /**
- * The records of a chunk, as columns of numbers. `before` are those of the interval before, null for an independent one; `count` is how many the
- * index has, or null for a chunk of a page, whose numbers are in other steps (`coarseness`).
+ * Returns the records of a chunk, as columns of numbers. `before` are the records of the previous interval, null for an independent one. `count` is
+ * the number in the index, or null for a chunk of a page, whose values have other steps (`coarseness`).
  */
 export async function decode(chunk, before, { version = 4, count = null, coarseness = null } = {}) {
   const bytes = await columnsOf(chunk, version, count);
@@ -209,7 +209,7 @@ export async function decode(chunk, before, { version = 4, count = null, coarsen
   return { count, code: columns[CODE], identity, birth, frame, values };
 }
 
-/** Refuses whole numbers that no record has. */
+/** Throws for integers outside the valid range of a column. */
 function checkRange(column, k, unit) {
   let [low, high] = [0, 0];
   for (const value of column) {
@@ -225,7 +225,7 @@ function checkRange(column, k, unit) {
   if (high * unit > most) throw wrong(name, `at most ${most}`, high * unit);
 }
 
-/** What a function has of each whole number of a column: there are few different ones. */
+/** Caches a function of a column's integers, of which few are different. */
 function byNumber(column, value) {
   const known = new Map();
   return (i) => {
@@ -235,13 +235,13 @@ function byNumber(column, value) {
   };
 }
 
-/** A value of [0, 1] in steps, rounded half up; others are moved to the end. */
+/** Quantises a value of [0, 1] to steps, rounded half up; other values are clamped. */
 const unit = (value, steps) => Math.floor(Math.min(1, Math.max(0, value)) * steps + 0.5);
 
-/** Round half away from zero. */
+/** Rounds half away from zero. */
 const nearestTo = (x) => (x < 0 ? -Math.round(-x) : Math.round(x));
 
-/** The lowest of some values, and a step of which 65,535 reach the highest. */
+/** Returns the lowest value, and a step of which 65,535 reach the highest. */
 function gridOf(values, shown) {
   let [low, high] = [Infinity, -Infinity];
   for (const i of shown) {
@@ -252,10 +252,10 @@ function gridOf(values, shown) {
   return high < low ? [0, 0] : [low, Math.fround((high - low) / 65535)];
 }
 
-/** The packet of a chunk's records, as packet.rs makes it of the interval. `index`: the key frame at its end, as a BigInt. */
+/** Returns the packet of a chunk's records, as packet.rs makes it from the interval. `index`: the key frame at its end, as a BigInt. */
 export function packetOf({ count, code, identity, birth, values }, { index, start, end, coarseness }) {
   const step = (k) => coarseness?.[k] ?? 1;
-  /** A column, or the sum of two, in binary32. */
+  /** Returns a column, or the sum of two, in binary32. */
   const scaled = (steps, k, other = null) => {
     const [out, a, b, first] = [new Float32Array(count), values[k], other === null ? null : values[other], step(k)];
     const second = b ? step(other) : 0;
@@ -329,14 +329,16 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
   return buffer;
 }
 
-/** Chunks one after another: each may need the one before it. */
+/** Decoder of consecutive chunks: each may need the previous one. */
 export class Chunks {
   constructor() {
     this.place = -1;
     this.records = null;
   }
 
-  /** The packet of the last of some chunks that follow each other: { bytes, index, alone, count } each; null where the one before them is not at hand. */
+  /**
+   * Returns the packet of the last of some consecutive chunks, { bytes, index, alone, count } each; null if the chunk before them is not available.
+   */
   async take({ place, parts, times, version, coarseness }) {
     let packet = null;
     for (const [k, { bytes, index, alone, count }] of parts.entries()) {

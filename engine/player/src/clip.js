@@ -1,4 +1,4 @@
-// A scene in time: its intervals as they are needed and some ahead, and the order of its Gaussians. It draws nothing.
+// A scene in time: loads its intervals on demand and ahead, and keeps the order of its Gaussians. It does not draw.
 
 import { BlobFile } from "./blob.js";
 import { Camera, clamp } from "./camera.js";
@@ -11,25 +11,25 @@ import { HEADER, RECORD } from "./packet.js";
 import { RemoteFile } from "./remote.js";
 import { Contained, Store } from "./store.js";
 
-/** Bytes of packets that are kept, and seconds that are read ahead. */
+/** Bytes of packets that are kept, and seconds that are loaded ahead. */
 const [ROOM, AHEAD] = [64 * 2 ** 20, 2];
-/** Intervals read ahead at once. */
+/** Maximum number of intervals loading ahead at the same time. */
 const COMING = 2;
-/** Milliseconds after a failure until the next attempt. */
+/** Milliseconds from a failure to the next attempt. */
 const RETRY = 2000;
-/** Bytes of a Gaussian in a packet at most. */
+/** Maximum bytes per Gaussian in a packet. */
 const EACH = RECORD + 5;
 
-/** The player's worker. */
+/** Returns the player's worker. */
 function ownWorker() {
   const address = new URL("./worker.js", import.meta.url);
   if (address.origin === location.origin) return new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
-  // A page starts no worker from another site: it starts one of its own that imports the other's.
+  // A page cannot start a worker from another site, so it starts its own, which imports the other's.
   const own = new Blob([`import ${JSON.stringify(address.href)};`], { type: "text/javascript" });
   return new Worker(URL.createObjectURL(own), { type: "module" });
 }
 
-/** The file that a source is: an address, a Blob, or bytes. */
+/** Returns the file of a source: an address, a Blob, or bytes. */
 async function fileOf(source, signal) {
   if (source instanceof Blob) return new BlobFile(source);
   if (source instanceof ArrayBuffer || ArrayBuffer.isView(source)) return new BlobFile(new Blob([source]));
@@ -38,9 +38,7 @@ async function fileOf(source, signal) {
 }
 
 export class Clip {
-  /**
-   * The scene in a container. `room`: bytes of packets kept; `gaussians`: the most of an interval; `signal` ends what is under way.
-   */
+  /** Opens the scene in a container. `room`: bytes of packets kept; `gaussians`: the maximum of an interval; `signal` aborts loading. */
   static async open(source, { room = ROOM, gaussians = MOST_GAUSSIANS, signal = null } = {}) {
     const file = await fileOf(source, signal);
     const index = await readIndex(file, gaussians);
@@ -56,20 +54,20 @@ export class Clip {
     [this.fps, this.placement, this.intervals] = [about.fps, about.placement, about.intervals];
     this.start = about.intervals[0].start;
     this.end = about.intervals[about.intervals.length - 1].end;
-    /** The most Gaussians of an interval. */
+    /** Maximum number of Gaussians of an interval. */
     this.most = about.intervals.reduce((most, { gaussians }) => Math.max(most, gaussians), 0);
     this.camera = new Camera();
     this.camera.place(about.placement);
     this.orders = new Orders(helper, () => this.came());
     this.store = new Store(new Contained(file, index, helper, ""), (interval) => this.orders.forget(interval), room);
-    /** Called when something was loaded that may change the picture, and when an interval cannot be loaded. */
+    /** Called when loaded data may change the picture, and when an interval cannot be loaded. */
     this.came = () => {};
     this.failed = () => {};
     this.again = 0;
     this.placed = false;
   }
 
-  /** Requests made and bytes received so far, of a clip behind an address. */
+  /** Number of requests and bytes received so far, for a clip behind an address. */
   get traffic() {
     return { ...(this.file.traffic ?? { requests: 0, bytes: 0 }) };
   }
@@ -79,12 +77,12 @@ export class Clip {
     return this.store.bytes;
   }
 
-  /** The packet of an interval, from wherever it is. */
+  /** Returns the packet of an interval, from memory or from the file. */
   packet(interval) {
     return this.store.fetch(interval);
   }
 
-  /** Lets the camera turn about the middle of the first interval, whichever is shown, so that a view does not depend on what was shown before. */
+  /** Sets the camera's pivot to the middle of the first interval, so that a view does not depend on the intervals shown before. */
   async place() {
     if (this.placed) return;
     this.camera.depth = depthOf(depthsOf(await this.packet(0)).middle);
@@ -104,22 +102,22 @@ export class Clip {
     );
   }
 
-  /** Requests the intervals that are shown soon, if not too many are on their way. */
+  /** Requests the intervals that are shown next, unless too many are loading. */
   readAhead(interval, time, loop) {
     const { store, intervals } = this;
     let bytes = 0;
     for (let i = interval + 1; i < intervals.length + (loop ? interval : 0); i++) {
       const [k, laps] = [i % intervals.length, i < intervals.length ? 0 : this.end - this.start];
       bytes += HEADER + EACH * intervals[k].gaussians;
-      // What is read ahead must not displace what is shown.
+      // Intervals loaded ahead must not displace the one that is shown.
       if (intervals[k].start + laps > time + AHEAD || bytes > this.room / 2 || store.coming.size >= COMING) return;
       if (!store.kept.has(k) && !store.coming.has(k)) this.load(k);
     }
   }
 
   /**
-   * What is drawn at a time from a view: { packet, interval, t, order, exact }; null while it is still to come. `moving`: whether time goes on;
-   * `loop`: whether the beginning follows the end.
+   * Returns the data to draw at a time from a view: { packet, interval, t, order, exact }; null while it is not loaded. `moving`: whether time
+   * advances; `loop`: whether the beginning follows the end.
    */
   at(time, view, { moving = false, loop = false } = {}) {
     const { store, orders } = this;
@@ -136,7 +134,7 @@ export class Clip {
     return found && { packet, interval, t, ...found };
   }
 
-  /** Whether the interval at a time is loaded. */
+  /** Returns whether the interval at a time is loaded. */
   has(time) {
     return this.store.kept.has(this.store.find(time));
   }

@@ -1,4 +1,4 @@
-// The time of a clip that another program's clock drives.
+// The time of a clip, advanced by another program's loop.
 
 /** Plays between a start and an end. */
 export class Clock {

@@ -1,15 +1,15 @@
-// The index of a container. docs/container.md has every byte; what is refused, engine/src/scene/container/index.rs refuses as well.
+// The index of a container. docs/container.md describes every byte; the checks are those of engine/src/scene/container/index.rs.
 
 import { MOST_GAUSSIANS } from "./chunk.js";
 import { wrong } from "./errors.js";
 
-/** Bytes of a header, of a trailer, of an index without intervals, and of an interval in it. */
+/** Bytes of a header, of a trailer, of an index without intervals, and of an interval in the index. */
 const [OF_HEADER, OF_TRAILER, OF_INDEX, OF_ENTRY] = [16, 48, 44, 96];
-/** Bytes of an index at most; chunks from an independent one to the next. */
+/** Maximum bytes of an index; maximum number of chunks from one independent chunk to the next. */
 const MOST_INDEX = 2 ** 26;
 const ALONE_EVERY = 8;
 const VERSION = 4;
-/** As engine/src/import/limits.rs: bytes in memory for each of the file, those that any file may take, and bytes of a Gaussian and of a merge. */
+/** As in engine/src/import/limits.rs: bytes in memory per byte of the file, bytes allowed for any file, and bytes of a Gaussian and of a merge. */
 const [RATIO, ALLOWED, OF_GAUSSIAN, OF_MERGE] = [256, 2 ** 24, 110, 16];
 
 const viewed = ({ buffer, byteOffset, byteLength }) => new DataView(buffer, byteOffset, byteLength);
@@ -21,7 +21,7 @@ function versionOf(head) {
   return version;
 }
 
-/** Sizes as the index has them, where the content lies inside of the model's input. */
+/** Returns sizes as in the index, if the content is inside the model's input. */
 function placementOf(index) {
   const [source, model, offset, content] = [8, 16, 24, 32].map((at) => [index.getUint32(at, true), index.getUint32(at + 4, true)]);
   const inside = [0, 1].every((i) => source[i] && content[i] && model[i] <= 2 ** 31 && offset[i] + content[i] <= model[i]);
@@ -29,7 +29,7 @@ function placementOf(index) {
   return { source, model, offset, content };
 }
 
-/** Refuses times of frames that are not in order, or not in their interval. */
+/** Throws if times of frames are not ascending, or not in their interval. */
 function checkFrames(index, at, count, { start, end }, i) {
   for (let k = 0, last = -Infinity; k < count; k++) {
     const time = index.getFloat64(at + 8 * k, true);
@@ -39,8 +39,8 @@ function checkFrames(index, at, count, { start, end }, i) {
 }
 
 /**
- * The description of a container's scene, as the page's server has it, and where its chunks are: { about, chunks }. An interval may have `most`
- * Gaussians. Digests are not compared: `streamsplat inspect` does that.
+ * Returns the description of a container's scene, in the form of the page's server, and the positions of its chunks: { about, chunks }. An interval
+ * may have `most` Gaussians. Digests are not compared; `streamsplat inspect` does that.
  */
 export async function readIndex(file, most = MOST_GAUSSIANS) {
   if (file.size < OF_HEADER + OF_TRAILER) throw wrong("container", `at least ${OF_HEADER + OF_TRAILER} bytes`, file.size);

@@ -1,20 +1,20 @@
-// Drawing with WebGL2: splats front to back into sums of colour and alpha, then those onto the background.
+// Drawing with WebGL2: splats are blended front to back into sums of colour and alpha, which are then composited onto the background.
 
 import { SHADERS } from "./shaders.js";
 
 export const MODES = ["colour", "depth", "identity"];
-/** Records in a row of the textures; each has two texels of 16 bytes, one of its rates of colour, and one in the order. */
+/** Records per row of the textures. Each record has two texels of 16 bytes, one texel of its rates of colour, and one in the order. */
 export const PER_ROW = 1024;
 
-/** Whether a program draws in place of a graphics processor: SwiftShader, which takes twice as long for 16-bit floats as for others. */
+/** Returns whether a program draws instead of a graphics processor: SwiftShader, which takes twice as long for 16-bit floats as for others. */
 function isSwiftShader(gl) {
   const name = gl.getParameter(gl.RENDERER);
-  // Chromium has the name behind an extension, of which Firefox warns.
+  // Chromium exposes the name by an extension, about which Firefox warns.
   const more = /^WebKit/.test(name) && gl.getExtension("WEBGL_debug_renderer_info");
   return /SwiftShader/.test(more ? gl.getParameter(more.UNMASKED_RENDERER_WEBGL) : name);
 }
 
-/** Format and kind of the sums: floats of 16 bits, in software of 32, or bytes where none can be drawn into. */
+/** Format and type of the sums: 16-bit floats, 32-bit floats in software, or bytes if floats cannot be drawn into. */
 function sumsOf(gl) {
   const float = gl.getExtension("EXT_color_buffer_float");
   if (float && isSwiftShader(gl) && gl.getExtension("EXT_float_blend")) return [gl.RGBA32F, gl.FLOAT];
@@ -32,11 +32,11 @@ export class Drawing {
     this.sums = sumsOf(gl);
     this.prepare = this.program("resolve.vert", "prepare.frag");
     this.splat = this.program("quad.vert", "splat.frag");
-    this.still = null; // its program, once there is a still scene
+    this.still = null; // program for still scenes, created on demand
     this.resolve = this.program("resolve.vert", "resolve.frag");
-    /** Gaussians of a packet at most. */
+    /** Maximum number of Gaussians of a packet. */
     this.room = PER_ROW * gl.getParameter(gl.MAX_TEXTURE_SIZE);
-    /** Pixels of a side at most. */
+    /** Maximum number of pixels per side. */
     this.largest = Math.min(gl.getParameter(gl.MAX_TEXTURE_SIZE), ...gl.getParameter(gl.MAX_VIEWPORT_DIMS));
     this.packet = null;
     this.ordered = null;
@@ -52,7 +52,7 @@ export class Drawing {
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
     this.nothing = gl.createVertexArray();
-    /** What prepare.frag makes of the records in the order. */
+    /** Output of prepare.frag for the records in the order. */
     this.prepared = [gl.createTexture(), gl.createTexture()];
     this.preparing = gl.createFramebuffer();
     this.preparedRows = 0;
@@ -83,7 +83,7 @@ export class Drawing {
     return { program, at };
   }
 
-  /** A texture without filtering. */
+  /** Creates a texture without filtering. */
   bind(texture, unit) {
     const { gl } = this;
     gl.activeTexture(gl.TEXTURE0 + unit);
@@ -91,7 +91,7 @@ export class Drawing {
     for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.NEAREST);
   }
 
-  /** Takes a packet's records to the graphics processor, as they are. */
+  /** Uploads a packet's records to the graphics processor, unchanged. */
   upload(packet) {
     if (this.packet === packet) return;
     const { gl } = this;
@@ -120,7 +120,7 @@ export class Drawing {
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 4);
   }
 
-  /** Fills a texture of so many rows with texels of four words, `each` per record. */
+  /** Fills a texture with texels of four words, `each` per record, in this number of rows. */
   fill(texture, unit, rows, each, words, count) {
     const { gl } = this;
     const whole = Math.floor(count / PER_ROW);
@@ -135,7 +135,7 @@ export class Drawing {
     put(whole, each * (count % PER_ROW), 1, words.subarray(cut));
   }
 
-  /** The view's uniforms, and the records in their order. */
+  /** Sets the view's uniforms, and the records in their order. */
   setView(at, view, order, mode) {
     const { gl } = this;
     this.bind(this.records, 0);
@@ -151,7 +151,7 @@ export class Drawing {
     gl.uniform1i(at.total, order.length);
   }
 
-  /** Takes a still scene's program into use. */
+  /** Activates a still scene's program. */
   useStill(packet, order, view, mode) {
     const { gl } = this;
     const { program, at } = (this.still ??= this.program("still.vert", "splat.frag"));
@@ -165,7 +165,7 @@ export class Drawing {
     return at;
   }
 
-  /** Prepares a packet's records, and takes the program into use that draws them. */
+  /** Prepares a packet's records, and activates the program that draws them. */
   useMoving(packet, order, t, view, mode) {
     const { gl, prepare: { program, at } } = this;
     gl.useProgram(program);
@@ -188,7 +188,7 @@ export class Drawing {
       gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
       this.preparedRows = rows;
     }
-    // They are not read where they are written.
+    // A texture must not be read while it is written.
     for (const unit of [4, 5]) {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, null);
@@ -205,7 +205,7 @@ export class Drawing {
     return this.splat.at;
   }
 
-  /** Takes an order to the graphics processor. */
+  /** Uploads an order to the graphics processor. */
   arrange(order) {
     const { gl } = this;
     const rows = Math.ceil(order.length / PER_ROW);
@@ -223,7 +223,7 @@ export class Drawing {
     this.ordered = order;
   }
 
-  /** Sums of width × height pixels. */
+  /** Creates sums of width × height pixels. */
   resize(width, height) {
     const { gl } = this;
     if (this.size[0] === width && this.size[1] === height) return;
@@ -236,8 +236,8 @@ export class Drawing {
   }
 
   /**
-   * Draws a packet's records in `order` at t in [0, 1]; `range` are the ends of the scale of inverse depths. The picture is as large as the view says; it
-   * comes to the canvas, or into another framebuffer with its lower left corner at x, y.
+   * Draws a packet's records in `order` at t in [0, 1]; `range` are the ends of the scale of inverse depths. The view determines the size of the
+   * picture. It is drawn to the canvas, or to another framebuffer with its lower left corner at x, y.
    */
   draw(packet, order, t, view, { mode, background, range }, { framebuffer = null, x = 0, y = 0 } = {}) {
     const { gl, resolve } = this;

@@ -30,7 +30,7 @@ const BODY = `
 <input type="range" aria-label="Time" min="0" max="1" step="any" value="0"><span></span>
 <button type="button" class="vr" aria-label="Show in a headset" hidden><svg viewBox="0 0 20 20" aria-hidden="true"><path d="${HEADSET}"/></svg></button>
 </div>`;
-/** Events of the player that the element has as well. */
+/** Events of the player that the element dispatches as well. */
 const EVENTS = [
   ...["loadedmetadata", "loadeddata", "play", "pause", "waiting", "playing", "seeking", "seeked", "timeupdate", "ended", "error", "viewchange"],
   ...["vrenter", "vrleave"],
@@ -78,7 +78,7 @@ export class StreamsplatPlayer extends HTMLElement {
   }
 
   disconnectedCallback() {
-    // An element that is only moved comes back at once.
+    // An element that is only moved is reconnected at once.
     queueMicrotask(() => {
       if (this.isConnected) return;
       this.player?.close();
@@ -175,7 +175,7 @@ export class StreamsplatPlayer extends HTMLElement {
     return this.player?.ended ?? false;
   }
 
-  /** What a player's event changes in the element. */
+  /** Updates the element after a player's event. */
   heard(name, error) {
     const { player } = this;
     if (name === "loadeddata") this.poster.hidden = true;

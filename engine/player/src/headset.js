@@ -1,9 +1,9 @@
-// A headset, through WebXR: the scene stays where it is in the viewer's room, and each eye sees it.
+// A headset, through WebXR: the scene keeps its position in the viewer's room, and is drawn for each eye.
 
-/** Metres from the viewer to what the camera looks at, when they enter. */
+/** Metres from the viewer to the camera's target, on entering. */
 const REACH = 2;
 
-/** Whether this browser has a headset. Only pages from HTTPS or from this very machine may ask. */
+/** Returns whether this browser has a headset. Only pages from HTTPS or from localhost may ask. */
 export const offersHeadset = async () => {
   try {
     return Boolean(await navigator.xr?.isSessionSupported("immersive-vr"));
@@ -13,7 +13,8 @@ export const offersHeadset = async () => {
 };
 
 /**
- * Where the viewer's room lies in a scene: its origin is the camera's eye, its axes are the camera's, and REACH metres are the distance to the target.
+ * The pose of the viewer's room in a scene: its origin is the camera's eye, its axes are the camera's, and REACH metres are the distance to the
+ * target.
  */
 export function roomOf(camera) {
   const own = camera.perspective;
@@ -24,8 +25,8 @@ export function roomOf(camera) {
 }
 
 /**
- * The view of width × height pixels from a place in the room. `matrix`: 4×4 by columns, from there into the room, in metres, x right, y up, z back;
- * `projection`: 4×4 by columns, of which the focal lengths and the middle are read, as an eye does not look through the middle of its picture.
+ * Returns the view of width × height pixels from a pose in the room. `matrix`: 4×4 by columns, from the pose to the room, in metres, x right, y up, z
+ * back. `projection`: 4×4 by columns; focal lengths and centre are read from it, because an eye does not look through the middle of its picture.
  */
 export function viewFrom({ eye, axes, metre, view }, { matrix, projection }, width, height) {
   const turned = (column, by) => {
@@ -45,8 +46,8 @@ export function viewFrom({ eye, axes, metre, view }, { matrix, projection }, wid
 }
 
 /**
- * Draws a scene in a headset until its wearer leaves it. `advance(seconds)` takes the time further; `found(view)` returns the packet, order, t and looks
- * of what is drawn, or null while that is still to come; `selected` is called on a trigger or a pinch, `left` at the end.
+ * Draws a scene in a headset until the session ends. `advance(seconds)` advances the time. `found(view)` returns packet, order, t and looks, or null
+ * while they are not loaded. `selected` is called on a trigger or a pinch, `left` at the end.
  */
 export class Headset {
   static async enter(drawing, camera, calls) {
@@ -72,7 +73,7 @@ export class Headset {
     session.requestAnimationFrame((now, frame) => this.turn(now, frame));
   }
 
-  /** One turn of the headset's clock. */
+  /** Handles one frame of the headset. */
   turn(now, frame) {
     const { session, layer, drawing, calls } = this;
     session.requestAnimationFrame((now, frame) => this.turn(now, frame));
@@ -80,7 +81,7 @@ export class Headset {
     this.before = now;
     const pose = frame.getViewerPose(this.space);
     if (!pose) return;
-    // One order serves both eyes: that from between them.
+    // Both eyes use one order: that of the point between them.
     const [{ projectionMatrix }] = pose.views;
     const head = viewFrom(this.room, { matrix: pose.transform.matrix, projection: projectionMatrix }, 1, 1);
     this.picture = calls.found(head) ?? this.picture;
@@ -93,7 +94,7 @@ export class Headset {
     }
   }
 
-  /** Takes it off. */
+  /** Ends the session. */
   leave() {
     return this.session.end();
   }

@@ -1,4 +1,4 @@
-// The worker's other side: questions with numbers, and the orders that came last.
+// Client of the worker: numbered questions, and the last orders received.
 
 export class Helper {
   constructor(worker) {
@@ -11,7 +11,7 @@ export class Helper {
       if (error === undefined) done(answer);
       else failed(new Error(error));
     };
-    // A worker that cannot start, or has no memory left, does not answer.
+    // A worker that cannot start, or is out of memory, does not answer.
     worker.onerror = (event) => {
       const error = new Error(`worker: ${event.message || "it cannot be started"}`);
       for (const { failed } of this.asked.values()) failed(error);
@@ -27,7 +27,7 @@ export class Helper {
     });
   }
 
-  /** Ends the worker; questions stay without an answer. */
+  /** Ends the worker; open questions get no answer. */
   end() {
     this.worker.terminate();
   }
@@ -37,11 +37,11 @@ export class Helper {
   }
 }
 
-/** True if two questions ask for the same order. */
+/** Returns true if two questions request the same order. */
 const sameOrder = (a, b) => a.interval === b.interval && a.t === b.t && sameView(a.view, b.view);
 const sameView = (a, b) => a.eye.every((x, i) => x === b.eye[i]) && a.axes.flat().every((x, i) => x === b.axes.flat()[i]) && a.pinhole === b.pinhole;
 
-/** Orders of records: one question is under way at a time, and the last one that was wanted comes next. */
+/** Orders of records: one question is open at a time, and the last requested order is the next question. */
 export class Orders {
   constructor(helper, came) {
     this.helper = helper;
@@ -49,19 +49,19 @@ export class Orders {
     this.known = new Map();
     this.wanted = null;
     this.next = null;
-    /** The question under way. */
+    /** The open question. */
     this.asking = null;
-    /** The worker's account: orders made, records looked at, and of these the ones that had to be moved. */
+    /** The worker's statistics: orders made, records visited, and records moved. */
     this.work = { orders: 0, records: 0, moved: 0 };
   }
 
-  /** The order of an interval that was made last, and whether it is that of t and the view. */
+  /** Returns the last order of an interval, and whether it is that of t and the view. */
   of(interval, t, view) {
     const last = this.known.get(interval);
     return last ? { order: last.order, exact: last.t === t && sameView(last.view, view) } : null;
   }
 
-  /** Requests the order at t; and for the following interval's first one, if that has none. */
+  /** Requests the order at t, and the following interval's first one, if that has none. */
   want(interval, t, view, following) {
     const { eye, axes, units, pinhole, still } = view;
     const seen = { eye, axes, units, pinhole, still };
@@ -85,7 +85,7 @@ export class Orders {
       this.work.records += work.records;
       this.work.moved += work.moved;
       this.known.set(question.interval, { ...question, order });
-      // The order of intervals left behind is not needed.
+      // Orders of intervals that are not shown any more are not needed.
       if (this.known.size > 4) this.known.delete(this.known.keys().next().value);
       this.came();
     }

@@ -1,4 +1,4 @@
-// The package: the element, which is defined by importing it, and what it is made of.
+// The package: importing it defines the element; it also exports the element's parts.
 
 export { Clip } from "./clip.js";
 export { StreamsplatPlayer } from "./element.js";

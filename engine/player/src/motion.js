@@ -1,15 +1,15 @@
-// Gaussians in time, as in splat.vert, for sorting and picking.
+// Gaussians at a time, computed as in splat.vert, for sorting and picking.
 
 import { SHORTS } from "./packet.js";
 
 const HANDOVER = 0.125;
 
-/** Scene-space depth of a normalised inverse depth. */
+/** Converts a normalised inverse depth to scene-space depth. */
 export const depthOf = (y) => 1 / (9.8 * y + 0.200001);
 
 /**
- * Normalised inverse depths of a packet (of 4096 records at most): `middle`, and the ends of a scale, `far` and `near`, between
- * which 98 % of them lie. A flat scene's scale is not narrower than a tenth.
+ * Returns normalised inverse depths of a packet (of at most 4096 records): `middle`, and the ends of a scale, `far` and `near`, which contain 98 % of
+ * them. The scale is at least a tenth wide.
  */
 export function inverseDepths(packet) {
   const all = [];
@@ -23,10 +23,10 @@ export function inverseDepths(packet) {
   return { far: low - wider, middle, near: high + wider };
 }
 
-/** The same, found once. */
+/** Returns the same from a cache. */
 export const depthsOf = (packet) => (packet.depths ??= inverseDepths(packet));
 
-/** The world position of record i at t in [0, 1] of its interval. */
+/** Returns the world position of record i at t in [0, 1] of its interval. */
 export function worldAt(packet, i, t) {
   const tau = t - packet.reference(i);
   const q = packet.shorts.subarray(i * SHORTS, i * SHORTS + 6);
@@ -36,14 +36,14 @@ export function worldAt(packet, i, t) {
   });
 }
 
-/** The same in scene space; null where nothing is drawn. */
+/** Returns the position in scene space; null if the record is not drawn. */
 export function sceneAt(packet, i, t) {
   if (packet.still) return packet.place(i);
   const [x, y, z] = worldAt(packet, i, t);
   return y >= 0 && y <= 1 ? [x, -z, depthOf(y)] : null;
 }
 
-/** o · (1 + e^(−γ₀γ₁)) / (1 + e^(γ₀(|τ| − γ₁))) · handover, at t in [0, 1]. */
+/** Computes o · (1 + e^(−γ₀γ₁)) / (1 + e^(γ₀(|τ| − γ₁))) · handover, at t in [0, 1]. */
 export function opacityAt(packet, i, t) {
   if (packet.still) return packet.opacity(i);
   const [steepness, width] = packet.gamma(i);
@@ -54,7 +54,7 @@ export function opacityAt(packet, i, t) {
   return packet.opacity(i) * factor * Math.min(1, ramp / HANDOVER);
 }
 
-/** Red, green and blue of record i at t in [0, 1] of its interval as a view shows it, whole numbers in [0, 255]. */
+/** Returns red, green and blue, integers in [0, 255], of record i at t in [0, 1] of its interval as a view shows it. */
 export function colourAt(packet, i, t, view) {
   if (packet.still) {
     const away = packet.place(i).map((x, axis) => x - view.eye[axis]);

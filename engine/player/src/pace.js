@@ -1,20 +1,19 @@
-// The pace of pictures: where they come too slowly while things move, they are drawn with fewer pixels, until things rest or
-// pictures come quickly again.
+// Control of the frame rate: if frames are slow during motion, they are drawn with fewer pixels, until motion stops or frames are fast again.
 
 import { clamp } from "./camera.js";
 
-/** The longest time from one picture to the next, in milliseconds, and the fewest pixels a side of all there are. */
+/** Maximum time between pictures, in milliseconds, and the minimum fraction of the pixels per side. */
 const SLOW = 36;
 const LEAST = 0.3;
-/** The part of that time in which there is room for more pixels, and by how much a side then grows. */
+/** Fraction of that time below which there is room for more pixels, and the factor by which a side then grows. */
 const [ROOMY, GROWTH] = [0.6, 1.1];
-/** How long nothing moves before the picture is drawn with all pixels again, in milliseconds. */
+/** Milliseconds without motion before the picture is drawn with all pixels again. */
 const REST = 400;
 
 export class Pace {
   constructor() {
     this.detail = 1;
-    /** The detail that was found to be quick enough. */
+    /** The level of detail that was fast enough. */
     this.quick = 1;
     this.pictures = 0;
     this.drawn = false;
@@ -28,7 +27,7 @@ export class Pace {
     this.drawn = true;
   }
 
-  /** One turn of the browser's clock, in which things move or not; returns whether the detail changed. */
+  /** Handles one animation frame, with or without motion; returns whether the detail changed. */
   turn(now, moving) {
     const since = now - this.last;
     this.last = now;

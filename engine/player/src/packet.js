@@ -5,7 +5,7 @@ export const RECORD = 32;
 export const WORDS = RECORD / 4;
 export const SHORTS = RECORD / 2;
 
-/** The number of which these are the 16 bits in IEEE binary16. */
+/** Converts 16 bits of IEEE binary16 to a number. */
 export function half(bits) {
   const sign = bits & 0x8000 ? -1 : 1;
   const exponent = (bits >> 10) & 31;
@@ -15,7 +15,7 @@ export function half(bits) {
   return sign * (1 + fraction / 1024) * 2 ** (exponent - 15);
 }
 
-/** The bits of the binary16 number nearest to one, halves to even, at most the largest. */
+/** Returns the bits of the nearest binary16 number, halves to even, clamped to the largest. */
 export function halfBits(value) {
   const size = Math.min(Math.abs(value), 65504);
   const exponent = Math.max(-14, Math.floor(Math.log2(size)));
@@ -23,7 +23,7 @@ export function halfBits(value) {
   return (value < 0 ? 0x8000 : 0) + ((exponent + 14) << 10) + steps;
 }
 
-/** One interval. `words`, `shorts` and `bytes` look at the same records. */
+/** One interval. `words`, `shorts` and `bytes` are views of the same records. */
 export class Packet {
   constructor(buffer) {
     const view = new DataView(buffer);
@@ -47,21 +47,21 @@ export class Packet {
     this.shorts = new Uint16Array(buffer, HEADER, count * SHORTS);
     this.bytes = new Uint8Array(buffer, HEADER, count * RECORD);
     this.ages = new Uint16Array(buffer, HEADER + count * RECORD, count);
-    /** Three per record; none where colours stay. */
+    /** Three per record; empty if colours do not change. */
     this.rates = new Int8Array(buffer, HEADER + count * (RECORD + 2), 3 * rates);
   }
 
-  /** 0 where record i belongs to the interval's start, 1 where it belongs to its end. */
+  /** Returns 0 if record i belongs to the interval's start, 1 if it belongs to its end. */
   reference(i) {
     return this.bytes[i * RECORD + 31] & 1;
   }
 
-  /** The key frame in which record i was first seen. */
+  /** Returns the key frame in which record i first appeared. */
   birth(i) {
     return this.index - this.ages[i];
   }
 
-  /** 0: stays; 1: fades in after the start; 2: fades out before the end. */
+  /** Returns 0: stays; 1: fades in after the start; 2: fades out before the end. */
   handover(i) {
     return (this.bytes[i * RECORD + 31] >> 1) & 3;
   }
@@ -72,7 +72,7 @@ export class Packet {
     return (BigInt(high) << 32n) | BigInt(low);
   }
 
-  /** Red, green and blue in [0, 255], at the reference time. */
+  /** Returns red, green and blue in [0, 255], at the reference time. */
   colour(i) {
     return this.bytes.subarray(i * RECORD + 16, i * RECORD + 19);
   }
@@ -85,12 +85,12 @@ export class Packet {
     return [half(this.shorts[i * SHORTS + 6]), this.shorts[i * SHORTS + 7] / 65535];
   }
 
-  /** The standard deviation along scene-space z over the mean of the other two. */
+  /** Returns the standard deviation along scene-space z over the mean of the other two. */
   thickness(i) {
     return 2 ** (((this.words[i * WORDS + 7] | 0) >> 27) / 4);
   }
 
-  /** Standard deviations along scene-space x, y and z. */
+  /** Returns the standard deviations along scene-space x, y and z. */
   deviation(i) {
     const x = half(this.shorts[i * SHORTS + 10]);
     const y = half(this.shorts[i * SHORTS + 11]);

@@ -1,14 +1,14 @@
-// A scene in time among the things of another engine: the uniforms of splat.vert for its cameras, and its program.
+// A scene in time among the objects of another engine: the uniforms of splat.vert for its cameras, and its program.
 
 import { SHADERS } from "./shaders.js";
 
-/** A direction of an engine's space, in which y is up and z towards the viewer, in scene space, and back. */
+/** Converts a direction between an engine's space, in which y is up and z towards the viewer, and scene space; the conversion is its own inverse. */
 const flipped = ([x, y, z]) => [x, -y, -z];
 
 /**
- * The view of a clip for an engine's camera, in an image of width × height pixels. `modelView` takes the clip's own space to the camera's, `projection`
- * that to clip coordinates, both by columns. The clip's own space has the camera's target in its middle, x right, y up, z towards the viewer, and units
- * of half the model input's height. `scale` is how many of the camera's units one of them is.
+ * Returns the view of a clip for an engine's camera, in an image of width × height pixels. `modelView` maps the clip's own space to the camera's,
+ * `projection` that to clip coordinates, both by columns. The clip's own space has the camera's target in its middle, x right, y up, z towards the
+ * viewer, and units of half the model input's height. `scale` is the number of the camera's units per own unit.
  */
 export function viewOf(camera, modelView, projection, width, height) {
   const m = modelView;
@@ -34,7 +34,7 @@ export function viewOf(camera, modelView, projection, width, height) {
   };
 }
 
-/** The vertex program: as on the page, at its depth among other things. */
+/** The vertex program: as on the page, at its depth among other objects. */
 export const VERTEX = `${SHADERS["splat.vert"].replace("#version 300 es\n", "").replace("void main()", "void drawn()")}
 uniform mat4 projection;
 uniform float scale;  // the camera's units to one of the clip's own
@@ -52,12 +52,12 @@ void main() {
 /** The fragment program. */
 export const FRAGMENT = SHADERS["splat.frag"].replace("#version 300 es\n", "");
 
-/** An order from the farthest to the nearest, at the beginning of an array. */
+/** Writes an order from farthest to nearest at the beginning of an array. */
 export function backToFront(order, into) {
   for (let i = 0, j = order.length - 1; j >= 0; i++, j--) into[i] = order[j];
 }
 
-/** Triples as the first three of four: engines have no textures of three whole numbers. */
+/** Pads triples to four values: engines have no integer textures of three. */
 export function inFours(triples, into) {
   for (let i = 0, j = 0; i < triples.length; i += 3, j += 4) {
     into[j] = triples[i];
@@ -66,7 +66,7 @@ export function inFours(triples, into) {
   }
 }
 
-/** A class with a `clip` and a `clock` that another program's loop drives, over `Base`. */
+/** Returns a class derived from `Base`, with a `clip` and a `clock` that another program's loop drives. */
 export const playback = (Base) =>
   class extends Base {
     /** Width and height of the source's frames in the object's own units. */

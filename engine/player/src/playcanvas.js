@@ -5,7 +5,7 @@ import { Clock } from "./clock.js";
 import { PER_ROW } from "./draw.js";
 import { FRAGMENT, VERTEX, backToFront, inFours, playback, viewOf } from "./placed.js";
 
-/** A texture of whole numbers that is read texel by texel. */
+/** Creates an integer texture that is read texel by texel. */
 function texture(pc, device, name, width, height, format) {
   const [filter, address] = [pc.FILTER_NEAREST, pc.ADDRESS_CLAMP_TO_EDGE];
   const options = { name, width, height, format, mipmaps: false, minFilter: filter, magFilter: filter, addressU: address, addressV: address };
@@ -20,8 +20,8 @@ function fill(texture, put) {
 
 /**
  * A scene in time for an application of PlayCanvas's engine: `const video = await load(pc, app, "clip.ssz"); app.root.addChild(video.entity);` and
- * `video.update(seconds)` before each picture. It hides what is behind it and is hidden by what is in front of it. Its own middle is what the source's
- * camera looked at in the first interval; x is right, y up, z towards that camera; a unit is half the height of the model's input.
+ * `video.update(seconds)` before each picture. It occludes other objects and is occluded by them. Its origin is the point that the source's camera
+ * looked at in the first interval; x is right, y up, z towards that camera; a unit is half the height of the model's input.
  */
 export async function load(pc, app, source, options = {}) {
   const device = app.graphicsDevice;
@@ -39,7 +39,7 @@ class Splats extends playback(Object) {
     super();
     const device = app.graphicsDevice;
     [this.pc, this.app, this.clip, this.clock] = [pc, app, clip, new Clock(clip.start, clip.end)];
-    /** Called when something was loaded that changes the picture, and when an interval cannot be loaded. */
+    /** Called when loaded data changes the picture, and when an interval cannot be loaded. */
     [this.onchange, this.onerror] = [() => {}, () => {}];
     const rows = Math.max(1, Math.ceil(clip.most / PER_ROW));
     this.textures = {
@@ -50,7 +50,7 @@ class Splats extends playback(Object) {
     this.material = new pc.ShaderMaterial({
       uniqueName: "streamsplat",
       vertexGLSL: VERTEX,
-      // The engine has an output of its own.
+      // The engine has its own output.
       fragmentGLSL: FRAGMENT.replace("out vec4 colour;\n", "").replace("colour = ", "gl_FragColor = "),
       attributes: { vertex_position: pc.SEMANTIC_POSITION },
     });
@@ -73,7 +73,7 @@ class Splats extends playback(Object) {
     this.listening = app.scene.on("prerender", (camera) => this.prepare(camera));
   }
 
-  /** Before a camera draws. */
+  /** Called before a camera draws. */
   prepare(component) {
     const { camera } = component;
     const { clip, clock, material } = this;
@@ -88,7 +88,7 @@ class Splats extends playback(Object) {
     for (const [name, value] of Object.entries({ ...numbers, ...lists })) material.setParameter(name, value);
   }
 
-  /** Uploads what is drawn to the GPU. */
+  /** Uploads the current data to the GPU. */
   take({ packet, order, t }) {
     const { material, textures } = this;
     if (packet !== this.packet) {

@@ -8,7 +8,7 @@ import { depthsOf } from "./motion.js";
 import { Pace } from "./pace.js";
 import { followPointers } from "./pointers.js";
 
-/** A colour as red, green and blue from 0 to 1: from those, from one level of grey, or from #rrggbb. */
+/** Parses a colour to red, green and blue from 0 to 1: from these, from one grey level, or from #rrggbb. */
 function colourOf(colour) {
   if (typeof colour === "number") return [colour, colour, colour].map((level) => clamp(level, 0, 1));
   const hex = typeof colour === "string" && /^#([0-9a-f]{2})([0-9a-f]{2})([0-9a-f]{2})$/i.exec(colour);
@@ -19,8 +19,8 @@ function colourOf(colour) {
 
 /**
  * Plays a container on a canvas. Events have the names of a video's: `loadedmetadata`, `loadeddata` (the first picture is drawn), `play`, `pause`,
- * `waiting`, `playing`, `seeking`, `seeked`, `timeupdate`, `ended`, `error` (with `error`); and `viewchange` where the camera was moved, `tap` where the
- * canvas was touched without a drag.
+ * `waiting`, `playing`, `seeking`, `seeked`, `timeupdate`, `ended`, `error` (with `error`). In addition there are `viewchange` after the camera was
+ * moved, and `tap` after the canvas was touched without a drag.
  */
 export class Player extends EventTarget {
   constructor(canvas, { background = 0.07, loop = false, rate = 1, room, gaussians, interactive = true, bounded = true } = {}) {
@@ -31,7 +31,7 @@ export class Player extends EventTarget {
     this.colour = colourOf(background);
     [this.loop, this.playbackRate, this.shownMode] = [loop, rate, 0];
     [this.time, this.playing, this.springing, this.waiting, this.seekingNow] = [0, false, false, false, false];
-    /** True if a frame must be drawn although nothing plays; true if a better order was loaded for what is on the screen. */
+    /** `stale`: a frame must be drawn although nothing plays; `due`: a better order was loaded for the current picture. */
     [this.stale, this.due] = [true, false];
     this.clip = null;
     this.opening = null;
@@ -39,7 +39,7 @@ export class Player extends EventTarget {
     this.shown = null;
     this.pace = new Pace();
     this.drawing = new Drawing(canvas);
-    /** The headset that the scene is shown in, if any. */
+    /** The headset that shows the scene, if any. */
     this.headset = null;
     this.until = new AbortController();
     const { signal } = this.until;
@@ -59,7 +59,7 @@ export class Player extends EventTarget {
     requestAnimationFrame(turn);
   }
 
-  /** The camera was moved. */
+  /** Handles a moved camera. */
   turned() {
     this.stale = true;
     this.say("viewchange");
@@ -69,7 +69,7 @@ export class Player extends EventTarget {
     this.dispatchEvent(Object.assign(new Event(what), more));
   }
 
-  /** Shows a container: an address, a File or another Blob, or bytes. Resolves when its index is read; the one before is shown until then. */
+  /** Shows a container: an address, a File or another Blob, or bytes. Resolves when its index is read; the previous one is shown until then. */
   async load(source) {
     this.opening?.abort();
     const own = (this.opening = new AbortController());
@@ -93,7 +93,7 @@ export class Player extends EventTarget {
     }
   }
 
-  /** Places the camera; tries again where the first interval does not come. */
+  /** Places the camera; retries if the first interval cannot be loaded. */
   begin(own) {
     const { clip } = this;
     clip.place().then(
@@ -195,7 +195,7 @@ export class Player extends EventTarget {
     return { yaw, pitch, zoom, x: shift[0], y: shift[1], z: shift[2], lens: perspective ? "perspective" : "parallel" };
   }
 
-  /** Sets what is named of the view. */
+  /** Sets the given properties of the view. */
   look({ yaw, pitch, zoom, x, y, z, lens } = {}) {
     const camera = this.clip?.camera;
     if (!camera) throw new Error("view: expected a scene, found none yet (wait for loadedmetadata)");
@@ -212,7 +212,7 @@ export class Player extends EventTarget {
     this.turned();
   }
 
-  /** Back to the source's own view. */
+  /** Returns to the source's own view. */
   home() {
     const camera = this.clip?.camera;
     if (!camera) return;
@@ -221,7 +221,7 @@ export class Player extends EventTarget {
     this.turned();
   }
 
-  /** What is shown: `colour`, `depth` or `identity`. */
+  /** The displayed quantity: `colour`, `depth` or `identity`. */
   get mode() {
     return MODES[this.shownMode];
   }
@@ -243,7 +243,7 @@ export class Player extends EventTarget {
 
   // ---- The picture --------------------------------------------------------------------------------------------------------------
 
-  /** Pictures drawn, and the part of a side's pixels that they have now: fewer while drawing is too slow. */
+  /** Number of pictures drawn, and the current fraction of pixels per side, which is lower while drawing is too slow. */
   get pictures() {
     return this.pace.pictures;
   }
@@ -260,7 +260,7 @@ export class Player extends EventTarget {
     [canvas.width, canvas.height, this.stale] = [width, height, true];
   }
 
-  /** Takes the time further, unless it waits for an interval that is not loaded yet. */
+  /** Advances the time, unless it waits for an interval that is not loaded yet. */
   pass(seconds) {
     const has = this.clip.has(this.time);
     if (has) this.advance(seconds);
@@ -291,7 +291,7 @@ export class Player extends EventTarget {
     }
   }
 
-  /** What the clip has for the time, seen from a view, and how it is drawn; null while that is not loaded yet. */
+  /** Returns the clip's data for the time, seen from a view, and its drawing options; null while they are not loaded. */
   found(view) {
     const found = this.clip.at(this.time, view, { moving: this.playing, loop: this.loop });
     if (!found) return null;
@@ -299,7 +299,7 @@ export class Player extends EventTarget {
     return { ...found, looks: { mode: this.shownMode, background: this.colour, range: [far, near] } };
   }
 
-  /** Draws what the clip has for the time; false if that is not loaded yet. */
+  /** Draws the clip at the time; returns false if it is not loaded yet. */
   draw() {
     const { canvas, clip, drawing, playing, time } = this;
     const view = clip.camera.view(canvas.width, canvas.height);
@@ -311,7 +311,7 @@ export class Player extends EventTarget {
     const first = !this.shown;
     this.shown = { ...found, view, time };
     if (first) this.say("loadeddata");
-    // While things move an earlier order is used; once they stop, the picture is exact.
+    // During motion an earlier order is used; once motion stops, the picture is exact.
     if (this.seekingNow && (playing || exact)) {
       this.seekingNow = false;
       this.say("seeked");
@@ -323,8 +323,8 @@ export class Player extends EventTarget {
   // ---- A headset ----------------------------------------------------------------------------------------------------------------
 
   /**
-   * Shows the scene in a headset, two metres ahead; a trigger or a pinch plays and pauses. Browsers allow it in answer to a click alone. Resolves when it is
-   * entered. Events `vrenter` and `vrleave`.
+   * Shows the scene in a headset, two metres ahead; a trigger or a pinch plays and pauses. Browsers allow it only in response to a click. Resolves
+   * when the session has started. Events `vrenter` and `vrleave`.
    */
   async enterVR() {
     if (!this.clip?.placed || !this.drawing) throw new Error("headset: expected a scene, found none yet (wait for loadeddata)");
@@ -342,12 +342,12 @@ export class Player extends EventTarget {
     this.say("vrenter");
   }
 
-  /** Back to the canvas. */
+  /** Returns to the canvas. */
   async leaveVR() {
     await this.headset?.leave();
   }
 
-  /** Ends everything. The canvas keeps its last picture. */
+  /** Ends the player. The canvas keeps its last picture. */
   close() {
     this.opening?.abort();
     this.until.abort();

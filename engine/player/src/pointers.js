@@ -1,13 +1,13 @@
-// Fingers and mouse: one turns (or, with Shift or another button, moves); two move and zoom; the wheel zooms.
+// Fingers and mouse: one pointer turns (or, with Shift or another button, moves); two move and zoom; the wheel zooms.
 
-/** Degrees that a pixel of a drag turns. */
+/** Degrees of turning per pixel of a drag. */
 const perPixel = (camera) => (camera.bounded ? 0.12 : 0.3);
-/** Pixels of a drag up to which it is a tap. */
+/** Maximum pixels of a drag that still counts as a tap. */
 const TAP = 4;
 
 /**
- * Lets what happens on a canvas move the camera that `cameraOf` returns, if any. Calls `begun` when it is touched, `changed` when the camera moved,
- * `released` after a drag, and `tapped` with the place on the page where nothing was dragged. An abort of `signal` ends it.
+ * Lets pointers on a canvas move the camera that `cameraOf` returns, if any. Calls `begun` when the canvas is touched, `changed` when the camera
+ * moved, `released` after a drag, and `tapped` with the position on the page after a touch without a drag. Aborting `signal` removes the listeners.
  */
 export function followPointers(canvas, cameraOf, { begun, changed, released, tapped }, signal) {
   const down = new Map();

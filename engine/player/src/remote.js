@@ -1,27 +1,27 @@
-// A file behind an address, read by ranges (RFC 9110, section 14).
+// A file behind an address, read by byte ranges (RFC 9110, section 14).
 
 import { BlobFile } from "./blob.js";
 import { wrong } from "./errors.js";
 
-/** Bytes of the first answer, and of the one that has the file's end. */
+/** Bytes of the first request, and of the request for the file's end. */
 const BLOCK = 2 ** 16;
-/** Bytes of a file that a server sends only as a whole, at most. */
+/** Maximum bytes of a file that a server sends only as a whole. */
 const MOST_WHOLE = 2 ** 30;
 
-/** The size in `bytes 0-99/1234`. */
+/** Returns the size in `bytes 0-99/1234`. */
 const sizeIn = (range) => Number(/\/(\d+)$/.exec(range ?? "")?.[1] ?? NaN);
 
 export class RemoteFile {
-  /** The file at an address: its first bytes come now. A server without ranges sends all of it. */
+  /** Opens the file at an address and reads its first bytes. A server without ranges sends the whole file. */
   static async open(address, { signal } = {}) {
     const file = new RemoteFile(address, signal);
     const answer = await file.ask({ Range: `bytes=0-${BLOCK - 1}` });
-    // The answer of servers for an empty file.
+    // Servers answer this for an empty file.
     if (answer.status === 416) throw wrong("file", "a container", "no bytes");
     if (answer.status === 200) return file.whole(answer);
     file.tag = answer.headers.get("etag");
     file.size = sizeIn(answer.headers.get("content-range"));
-    // Another site's server may not let this page read that header.
+    // Another site's server may hide that header from this page.
     if (!Number.isFinite(file.size)) file.size = Number((await file.ask({}, "HEAD")).headers.get("content-length") ?? NaN);
     if (!(file.size >= 0)) throw wrong(address, "a Content-Range with the file's size", answer.headers.get("content-range") ?? "none that can be read");
     file.parts.push({ from: 0, bytes: await file.bytesOf(answer, Math.min(BLOCK, file.size)) });
@@ -32,7 +32,7 @@ export class RemoteFile {
     [this.address, this.signal, this.size, this.tag] = [address, signal, 0, null];
     /** Bytes in memory: the file's beginning and its end. */
     this.parts = [];
-    /** Requests made so far, and bytes received. */
+    /** Number of requests, and bytes received. */
     this.traffic = { requests: 0, bytes: 0 };
   }
 
@@ -56,7 +56,7 @@ export class RemoteFile {
     return file;
   }
 
-  /** The body of an answer, which is `length` bytes; no other length is read. */
+  /** Reads the body of an answer, which must be `length` bytes long. */
   async bytesOf(answer, length) {
     const said = answer.headers.get("content-length");
     const bytes = said === null ? await this.counted(answer, length) : Number(said) === length && new Uint8Array(await answer.arrayBuffer());
@@ -68,7 +68,7 @@ export class RemoteFile {
     return bytes;
   }
 
-  /** A body without a Content-Length. */
+  /** Reads a body without a Content-Length. */
   async counted(answer, length) {
     const [bytes, reader] = [new Uint8Array(length), answer.body.getReader()];
     for (let at = 0; ; ) {
@@ -88,7 +88,7 @@ export class RemoteFile {
     const had = held ? Math.min(length, held.from + held.bytes.length - from) : 0;
     const known = held?.bytes.subarray(from - held.from, from - held.from + had);
     if (had === length) return known.slice();
-    // The end has the index and the trailer: they come together.
+    // The index and the trailer are at the end, and are read together.
     const ends = from + length === this.size && length < BLOCK;
     const begin = ends ? Math.max(0, this.size - BLOCK) : from + had;
     const more = await this.range(begin, ends ? this.size - begin : length - had);
@@ -114,7 +114,7 @@ export class RemoteFile {
     return this.bytesOf(answer, length);
   }
 
-  /** Drops the file's end, which held the index. */
+  /** Drops the file's end, which contained the index. */
   indexed() {
     this.parts.length = Math.min(1, this.parts.length);
   }

@@ -1,14 +1,14 @@
-// Front to back: a counting sort by depth, and after it only what moved.
+// Front-to-back order: a counting sort by depth, then updates of only the records that moved.
 
 import { dot, nearest } from "./camera.js";
 import { depthOf } from "./motion.js";
 import { SHORTS, WORDS } from "./packet.js";
 
 const BINS = 1 << 16;
-/** The part of all records that is moved one by one at most; where more moved, all are sorted. */
+/** Maximum fraction of records that are moved one by one; if more moved, all are sorted. */
 const FEW = 1 / 8;
 
-/** Keeps a packet's records in order, from one time and view to the next. */
+/** Keeps a packet's records in order from one time and view to the next. */
 export class Sorter {
   constructor(packet) {
     const { count, shorts, positionLow, positionStep, velocityLow, velocityStep } = packet;
@@ -30,16 +30,14 @@ export class Sorter {
     }
     this.depth = new Float32Array(count);
     this.seen = new Uint8Array(count);
-    /** All records, nearest first; none before the first sort. */
+    /** All records, nearest first; empty before the first sort. */
     this.order = new Uint32Array(count);
     this.spare = new Uint32Array(count);
     this.moved = new Uint32Array(count);
     this.sorted = false;
   }
 
-  /**
-   * The records that may be seen at t, nearest first, equal depths in drawing order; and how many were looked at and moved.
-   */
+  /** Returns the records that may be visible at t, nearest first, equal depths in drawing order, and the numbers of records visited and moved. */
   sort(t, view) {
     this.look(t, view);
     let moved = this.sorted ? this.mend() : -1;
@@ -54,7 +52,7 @@ export class Sorter {
     return { order: shown.slice(0, total), work: { records: this.count, moved } };
   }
 
-  /** Depths, and whether a record may be seen. */
+  /** Computes depths, and whether a record may be visible. */
   look(t, view) {
     const { axes, eye, units } = view;
     const { position, velocity, reference, depth, seen } = this;
@@ -79,7 +77,7 @@ export class Sorter {
     }
   }
 
-  /** Sorts everything by counting. */
+  /** Sorts all records by counting. */
   all() {
     const { depth, order, count } = this;
     let [low, high] = [Infinity, -Infinity];
@@ -92,13 +90,13 @@ export class Sorter {
     for (let i = 0; i < count; i++) counts[(((depth[i] - low) * scale) | 0) + 1]++;
     for (let bin = 0; bin < BINS; bin++) counts[bin + 1] += counts[bin];
     for (let i = 0; i < count; i++) order[counts[((depth[i] - low) * scale) | 0]++] = i;
-    // Depths far apart leave many records in one bin: each bin is sorted by itself.
+    // If depths are far apart, many records share a bin, so each bin is sorted itself.
     for (let bin = 0, from = 0; bin < BINS; from = counts[bin++]) {
       if (counts[bin] - from > 1) order.subarray(from, counts[bin]).sort((a, b) => depth[a] - depth[b] || a - b);
     }
   }
 
-  /** Takes out of the last order what is out of place, sorts that, and merges both; −1 where that is too much. */
+  /** Removes misplaced records from the last order, sorts them, and merges both; returns −1 if they are too many. */
   mend() {
     const { depth, order, spare, moved, count } = this;
     const most = count * FEW;
@@ -108,7 +106,7 @@ export class Sorter {
       const i = order[place];
       if (kept && before(i, spare[kept - 1])) {
         if (out >= most) return -1;
-        // Either of the two may be the one that moved: the last one, if what came before it is still in order.
+        // Either of the two may have moved: it is the last one if the records before it are still in order.
         if (kept === 1 || before(spare[kept - 2], i)) {
           moved[out++] = spare[kept - 1];
           spare[kept - 1] = i;

@@ -1,18 +1,18 @@
-// The source of intervals, and those already loaded.
+// The source of intervals, and the loaded ones.
 
 import { Packet } from "./packet.js";
 
-/** The most bytes of packets kept. */
+/** Maximum bytes of packets kept. */
 const KEPT = 256 * 2 ** 20;
 
-/** A scene of chunks, of which each may need the one before it. */
+/** A scene of chunks, each of which may need the previous one. */
 export class Chunked {
   constructor(description, helper) {
     this.description = description;
     this.helper = helper;
-    /** The interval of the worker's last chunk; the next one needs none of those before. */
+    /** The interval of the worker's last chunk; the next one needs no earlier chunks. */
     this.given = -1;
-    /** The question before. */
+    /** The previous question. */
     this.line = Promise.resolve();
   }
 
@@ -20,9 +20,9 @@ export class Chunked {
     return { ...this.description, from, intervals: this.description.intervals.slice(from) };
   }
 
-  /** The packet of an interval. Chunks are read at once; those that need the one before are taken apart after it. */
+  /** Returns the packet of an interval. Chunks are read in parallel; dependent chunks are decoded in order. */
   packet(interval) {
-    // Where it is the last one again no chunk is left to drop.
+    // If it is the last one again, no chunk is left to drop.
     const from = this.given < interval ? this.given + 1 : 0;
     this.given = interval;
     const [parts, before] = [this.parts(interval, from), this.line];
@@ -34,7 +34,7 @@ export class Chunked {
       } catch (e) {
         this.given = -1;
         if (!e.lost) throw e;
-        // The interval that it follows was not loaded.
+        // The interval before it was not loaded.
         return this.taken(interval, await this.parts(interval, 0));
       }
     })();
@@ -52,7 +52,7 @@ export class Chunked {
   }
 }
 
-/** A scene in a container: a file as container.js has it, and its index. */
+/** A scene in a container: a file in the form of container.js, and its index. */
 export class Contained extends Chunked {
   constructor(file, { about, chunks }, helper, title) {
     super({ ...about, title }, helper);
@@ -60,7 +60,7 @@ export class Contained extends Chunked {
     this.chunks = chunks;
   }
 
-  /** The chunks up to that of an interval, from `from` on or from the last independent one. They lie one after another. */
+  /** Returns the chunks up to that of an interval, from `from` on or from the last independent one. They are contiguous. */
   async parts(interval, from) {
     const first = Math.max(from, interval - this.chunks[interval].back);
     const { at, bytes } = this.chunks[interval];
@@ -75,7 +75,7 @@ export class Contained extends Chunked {
 
 /** The list of intervals, and the packets used last. */
 export class Store {
-  /** `left`: what is done with an interval that is no longer kept; `room`: the most bytes of packets kept. */
+  /** `left`: called with an interval that is dropped; `room`: maximum bytes of packets kept. */
   constructor(source, left, room = KEPT) {
     this.source = source;
     this.room = room;
@@ -87,18 +87,18 @@ export class Store {
     this.bytes = 0;
   }
 
-  /** Requests the intervals that are not on the list yet. Returns how many there were. */
+  /** Requests the intervals that are not in the list yet; returns their number. */
   async refresh() {
     const known = this.times.length;
     const { intervals, from, ...about } = await this.source.describe(known);
     this.about = about;
-    // Intervals that a stream no longer keeps have no times.
+    // Intervals that a stream has dropped have no times.
     while (this.times.length < from) this.times.push(null);
     this.times.push(...intervals);
     return this.times.length - known;
   }
 
-  /** The first interval that can be shown. */
+  /** Returns the first interval that can be shown. */
   get first() {
     const first = Math.min(this.about?.first ?? 0, Math.max(this.times.length - 1, 0));
     const held = [...this.kept.keys()];
@@ -110,7 +110,7 @@ export class Store {
     return [this.times[this.first].start, this.times[this.times.length - 1].end];
   }
 
-  /** The interval that shows `time`: where two meet, the earlier one that has a length. */
+  /** Returns the interval that shows `time`: where two meet, the earlier one that has a length. */
   find(time) {
     let low = this.first;
     let high = this.times.length - 1;
@@ -123,17 +123,17 @@ export class Store {
     return longer && this.times[low + 1].start <= time ? low + 1 : low;
   }
 
-  /** Packet i if it is loaded. */
+  /** Returns packet i if it is loaded. */
   held(i) {
     const packet = this.kept.get(i);
     if (packet) {
-      this.kept.delete(i); // and behind all others, as the last one used
+      this.kept.delete(i); // moved to the end, as the last one used
       this.kept.set(i, packet);
     }
     return packet;
   }
 
-  /** Packet i, from wherever it is. */
+  /** Returns packet i, from memory or from the source. */
   fetch(i) {
     const held = this.held(i);
     if (held) return Promise.resolve(held);

@@ -5,7 +5,7 @@ import { Clock } from "./clock.js";
 import { PER_ROW } from "./draw.js";
 import { FRAGMENT, VERTEX, backToFront, inFours, playback, viewOf } from "./placed.js";
 
-/** A texture of whole numbers that is read texel by texel. */
+/** Creates an integer texture that is read texel by texel. */
 function texture(THREE, data, width, height, format, type, internalFormat) {
   const made = new THREE.DataTexture(data, width, height, format, type);
   Object.assign(made, { internalFormat, unpackAlignment: 1, generateMipmaps: false, minFilter: THREE.NearestFilter, magFilter: THREE.NearestFilter });
@@ -19,8 +19,8 @@ const COLOUR = 0;
 
 /**
  * A scene in time for a scene of three.js, drawn by a WebGLRenderer: `const video = await load(THREE, "clip.ssz"); scene.add(video);` and
- * `video.update(seconds)` before each picture. It hides what is behind it and is hidden by what is in front of it. Its own middle is what the source's
- * camera looked at in the first interval; x is right, y up, z towards that camera; a unit is half the height of the model's input.
+ * `video.update(seconds)` before each picture. It occludes other objects and is occluded by them. Its origin is the point that the source's camera
+ * looked at in the first interval; x is right, y up, z towards that camera; a unit is half the height of the model's input.
  */
 export async function load(THREE, source, options = {}) {
   const clip = await Clip.open(source, options);
@@ -65,7 +65,7 @@ export async function load(THREE, source, options = {}) {
       this.frustumCulled = false;
       this.clip = clip;
       this.clock = new Clock(clip.start, clip.end);
-      /** Called when something was loaded that changes the picture. A program that draws on demand draws then. */
+      /** Called when loaded data changes the picture. A program that draws on demand draws then. */
       this.onchange = () => {};
       clip.came = () => this.onchange();
       clip.failed = (error) => this.dispatchEvent({ type: "error", error });
@@ -88,7 +88,7 @@ export async function load(THREE, source, options = {}) {
       this.material.uniformsNeedUpdate = true;
     }
 
-    /** Uploads what is drawn to the GPU. */
+    /** Uploads the current data to the GPU. */
     take({ packet, order, t }) {
       const { uniforms } = this.material;
       if (packet !== this.packet) {

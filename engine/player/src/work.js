@@ -1,4 +1,4 @@
-// The worker: takes chunks apart and keeps records in order, so that the page only draws.
+// The worker: decodes chunks and keeps records in order, so that the page only draws.
 
 import { Chunks } from "./chunk.js";
 import { Packet } from "./packet.js";
@@ -6,18 +6,18 @@ import { Sorter } from "./sort.js";
 
 const chunks = new Chunks();
 const sorters = new Map();
-/** Chunks are taken apart one after another. */
+/** Chunks are decoded one after another. */
 let queue = Promise.resolve();
 
-/** Answers with a packet, of which the records are kept in order from now on. */
+/** Answers with a packet, whose records are kept in order from now on. */
 export function taken(ticket, interval, packet, buffer, more = {}) {
   sorters.set(interval, new Sorter(packet));
   postMessage({ ticket, buffer, ...more }, [buffer]);
 }
 
-/** Tasks by the kind of question. */
+/** Tasks by kind of question. */
 export const WORK = {
-  /** The chunks of the intervals that end with this one. */
+  /** Decodes the chunks of the intervals that end with this one. */
   parts({ ticket, interval, ...rest }) {
     queue = queue.then(async () => {
       try {
@@ -41,7 +41,7 @@ export const WORK = {
   },
 };
 
-/** Does the task of a question. */
+/** Runs the task of a question. */
 export function answer({ data }) {
   try {
     WORK[data.kind](data);

@@ -1,4 +1,4 @@
-//! Arguments that are more than numbers: cameras, sizes, backgrounds, names.
+//! Conversion of arguments: cameras, sizes, backgrounds, names.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -11,7 +11,7 @@ use streamsplat::{RenderOptions, Size};
 use crate::camera::{Camera, of_file};
 use crate::failure::{mistyped, wrong};
 
-/// `text` as a `T`, or a `ValueError` that names the argument.
+/// Parses `text` as a `T`; or returns a `ValueError` that names the argument.
 pub fn choice<T: FromStr>(name: &str, text: &str) -> PyResult<T>
 where
     T::Err: std::fmt::Display,
@@ -19,13 +19,13 @@ where
     text.parse().map_err(|e| wrong(format!("{name}: {e}")))
 }
 
-/// A camera, or one that moves; with the size of its image (width and height), where it has one.
+/// A camera path, with the size of its image (width and height), if it has one.
 struct Seen {
     path: CameraPath,
     size: Option<[usize; 2]>,
 }
 
-/// A camera: `None`, a `Camera`, a dictionary in the JSON form of cameras, or the path of a file with one.
+/// Converts a camera: `None`, a `Camera`, a dictionary in the JSON form of cameras, or the path of a file with one.
 fn camera(value: Option<&Bound<'_, PyAny>>) -> PyResult<Seen> {
     let Some(value) = value.filter(|value| !value.is_none()) else {
         return Ok(Seen { path: CameraPath::default(), size: None });
@@ -52,16 +52,16 @@ fn camera(value: Option<&Bound<'_, PyAny>>) -> PyResult<Seen> {
     Ok(Seen { path, size })
 }
 
-/// What an image shows.
+/// Time and camera of an image.
 pub struct Place {
     pub time: f64,
     pub camera: streamsplat::Camera,
-    /// Width and height that the camera has.
+    /// Width and height of the camera's image, if it has them.
     pub size: Option<[usize; 2]>,
 }
 
 impl Place {
-    /// Options of this image: `options`, with the camera's own size where none was given.
+    /// Returns the options of this image: `options`, with the camera's own size if none was given.
     pub fn options(&self, options: &RenderOptions, given: bool) -> RenderOptions {
         match self.size.filter(|_| !given) {
             Some([width, height]) => RenderOptions { size: Size::Exact { width, height }, ..*options },
@@ -85,7 +85,8 @@ pub fn is_camera(value: &Bound<'_, PyAny>) -> bool {
     one(value) || is_list(value) && value.get_item(0).is_ok_and(|first| one(&first))
 }
 
-/// Times and cameras of images: `time` or `camera` or both may be lists, of equal lengths; true if one is.
+/// Returns the times and cameras of images. `time` or `camera` or both may be lists, of equal lengths; the flag is true
+/// if one is.
 pub fn places(time: &Bound<'_, PyAny>, camera_at: Option<&Bound<'_, PyAny>>) -> PyResult<(Vec<Place>, bool)> {
     let times = match time.extract::<f64>() {
         Ok(time) => Err(time),
@@ -101,12 +102,12 @@ pub fn places(time: &Bound<'_, PyAny>, camera_at: Option<&Bound<'_, PyAny>>) -> 
     at(times, camera_at)
 }
 
-/// As [`places`], of a scene in which nothing changes.
+/// Returns cameras as [`places`] does, for a scene that does not change.
 pub fn cameras(camera_at: Option<&Bound<'_, PyAny>>) -> PyResult<(Vec<Place>, bool)> {
     at(Err(0.0), camera_at)
 }
 
-/// Images at one time (`Err`) or at several.
+/// Returns images at one time (`Err`) or at several.
 fn at(times: Result<Vec<f64>, f64>, camera_at: Option<&Bound<'_, PyAny>>) -> PyResult<(Vec<Place>, bool)> {
     let seen = match camera_at.filter(|value| is_list(value)) {
         Some(list) => Some(list.try_iter()?.map(|one| camera(Some(&one?))).collect::<PyResult<Vec<_>>>()?),
@@ -129,7 +130,7 @@ fn at(times: Result<Vec<f64>, f64>, camera_at: Option<&Bound<'_, PyAny>>) -> PyR
     }
 }
 
-/// A size: "model", "source", "WIDTHxHEIGHT" or (width, height).
+/// Parses a size: "model", "source", "WIDTHxHEIGHT" or (width, height).
 fn sides(size: &Bound<'_, PyAny>) -> PyResult<Size> {
     if let Ok(text) = size.extract::<String>() {
         return choice("size", &text);
@@ -143,7 +144,7 @@ fn sides(size: &Bound<'_, PyAny>) -> PyResult<Size> {
     }
 }
 
-/// Width and height in pixels: "WIDTHxHEIGHT" or (width, height).
+/// Parses width and height in pixels: "WIDTHxHEIGHT" or (width, height).
 pub fn pixels(size: &Bound<'_, PyAny>) -> PyResult<[usize; 2]> {
     match sides(size)? {
         Size::Exact { width, height } if width > 0 && height > 0 => Ok([width, height]),
@@ -151,8 +152,8 @@ pub fn pixels(size: &Bound<'_, PyAny>) -> PyResult<[usize; 2]> {
     }
 }
 
-/// Options of an image, from `size` ("model", "source", "WIDTHxHEIGHT" or (width, height)) and `background` (grey, or
-/// red, green, blue).
+/// Returns the options of an image, from `size` ("model", "source", "WIDTHxHEIGHT" or (width, height)) and `background`
+/// (grey, or red, green, blue).
 pub fn options(
     size: Option<&Bound<'_, PyAny>>,
     background: Option<&Bound<'_, PyAny>>,

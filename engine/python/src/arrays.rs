@@ -1,4 +1,4 @@
-//! NumPy arrays from the engine's memory, and frames from NumPy arrays.
+//! NumPy arrays that share the engine's memory, and frames from NumPy arrays.
 
 use numpy::ndarray::{ArrayView, ArrayViewD, Axis, Dimension, Ix3};
 use numpy::{Element, PyArray, PyReadonlyArray2, PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods};
@@ -7,32 +7,32 @@ use streamsplat::picture::{MAX_PIXELS, MAX_SIDE, size_is_allowed};
 
 use crate::failure::{mistyped, wrong};
 
-/// `view` as a read-only NumPy array that keeps `owner` alive.
+/// Returns `view` as a read-only NumPy array that keeps `owner` alive.
 ///
 /// # Safety
-/// `view` shows memory of `owner` that stays where it is and is not written to for as long as `owner` lives.
+/// `view` must refer to memory of `owner` that is neither moved nor written while `owner` lives.
 pub unsafe fn borrowed<'py, T: Element, D: Dimension>(
     view: &ArrayView<'_, T, D>,
     owner: Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyArray<T, D>>> {
-    // SAFETY: the caller's promise; and nobody can write through an array that is not writeable.
+    // SAFETY: the caller's promise; and an array that is not writeable cannot be written through.
     let array = unsafe { PyArray::borrow_from_array(view, owner) };
     array.call_method1("setflags", (false,))?;
     Ok(array)
 }
 
-/// The greatest sample of a float frame that is not taken for one of 0 to 255.
+/// Maximum sample of a float frame; a larger one is an error, because the range is probably 0 to 255.
 const MOST_FLOAT: f32 = 2.0;
-/// What transparent parts are laid over, as in files.
+/// Grey behind transparent parts, as for files.
 const BEHIND: f32 = 0.5;
-/// Frames that are taken.
+/// Description of supported frames.
 const TAKEN: &str = "an array [height, width, 3] of uint8 or of floats in [0, 1]";
 
-/// A frame's pixels as planes `[3, H, W]`, with its height and width.
+/// Returns a frame's pixels as planes `[3, H, W]`, with its height and width.
 ///
-/// Grey frames are `[H, W]` or `[H, W, 1]`; those with alpha, `[H, W, 4]`, are laid over mid grey, as files are. Floats
-/// of other sizes become 32 bits. Other objects that convert to NumPy arrays, such as PIL images and torch tensors, are
-/// converted first; these may also have torch's layout `[3, H, W]`.
+/// Grey frames are `[H, W]` or `[H, W, 1]`. Frames with alpha, `[H, W, 4]`, are composited over mid grey, as files are.
+/// Floats of other sizes become 32 bits. Other objects that convert to NumPy arrays, such as PIL images and torch
+/// tensors, are converted first; these may also have torch's layout `[3, H, W]`.
 pub fn planes(frame: &Bound<'_, PyAny>) -> PyResult<(Vec<f32>, [usize; 2])> {
     let is_array = frame.is_instance_of::<PyUntypedArray>();
     if !is_array && !frame.hasattr("__array__")? && !frame.hasattr("__array_interface__")? {
@@ -42,7 +42,7 @@ pub fn planes(frame: &Bound<'_, PyAny>) -> PyResult<(Vec<f32>, [usize; 2])> {
     let numpy = frame.py().import("numpy")?;
     let mut array = frame.clone();
     if !is_array {
-        // PIL's palettes and inks are no colours.
+        // PIL's palettes and CMYK are not RGB colours.
         let mode = frame.getattr("mode").and_then(|mode| mode.extract::<String>()).ok();
         let plain = mode.as_deref().is_none_or(|mode| ["RGB", "RGBA", "L"].contains(&mode));
         array = if plain { array } else { array.call_method1("convert", ("RGB",))? };
@@ -101,7 +101,7 @@ fn split<T: Copy>(pixels: ArrayViewD<'_, T>, value: impl Fn(T) -> f32) -> PyResu
         };
         return refused(fix);
     }
-    // An array may show one number many times.
+    // An array with strides of 0 repeats its numbers and can be huge.
     if !size_is_allowed(width, height) {
         let most = format!("1 to {MAX_SIDE} pixels a side and {MAX_PIXELS} in all");
         return Err(wrong(format!("frame: expected {most}, found {width}×{height}")));
@@ -123,7 +123,7 @@ fn split<T: Copy>(pixels: ArrayViewD<'_, T>, value: impl Fn(T) -> f32) -> PyResu
     Ok((all, [height, width]))
 }
 
-/// A depth map `[H, W]`.
+/// Converts a depth map `[H, W]`.
 pub fn depth(map: &Bound<'_, PyAny>, size: [usize; 2]) -> PyResult<Vec<f32>> {
     let Ok(values) = map.extract::<PyReadonlyArray2<'_, f32>>() else {
         return Err(mistyped(format!(
@@ -138,7 +138,7 @@ pub fn depth(map: &Bound<'_, PyAny>, size: [usize; 2]) -> PyResult<Vec<f32>> {
     Ok(values.as_array().iter().copied().collect())
 }
 
-/// An error where an array's numbers do not lie where the processor expects numbers of their kind.
+/// Returns an error if an array's numbers are not aligned.
 fn aligned(name: &str, array: &Bound<'_, PyAny>) -> PyResult<()> {
     if array.getattr("flags")?.getattr("aligned")?.extract()? {
         return Ok(());
@@ -148,7 +148,7 @@ fn aligned(name: &str, array: &Bound<'_, PyAny>) -> PyResult<()> {
     )))
 }
 
-/// Description of an argument, for messages.
+/// Describes an argument for messages.
 fn describe(value: &Bound<'_, PyAny>) -> String {
     let shape = value.getattr("shape").map(|s| s.to_string());
     let dtype = value.getattr("dtype").map(|d| d.to_string());

@@ -1,4 +1,4 @@
-//! Cameras: matrices, files of other programs.
+//! Cameras from matrices, and from files of other programs.
 
 use std::path::PathBuf;
 
@@ -14,8 +14,8 @@ use crate::failure::{no_cameras, present, wrong};
 
 /// A view of a scene: a pose, a lens, and the size of its image in pixels, if it has one.
 ///
-/// `Camera(viewmat, K, width, height)` takes gsplat's matrices: `viewmat` [4, 4] from the world to the camera, which
-/// looks along +z with +x to the right and +y down, and `K` [3, 3] in pixels, counted from the corner of the first one.
+/// `Camera(viewmat, K, width, height)` takes gsplat's matrices. `viewmat` [4, 4] maps the world to the camera, which
+/// looks along +z with +x to the right and +y down. `K` [3, 3] is in pixels, counted from the corner of the first one.
 /// `cameras(path)` reads the files of other programs.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 #[derive(Clone)]
@@ -34,7 +34,7 @@ impl From<SizedCamera> for Camera {
 }
 
 impl Camera {
-    /// A camera of a scene's own, for images of `size`.
+    /// Returns a scene's own camera, for images of `size`.
     pub fn sized(inner: streamsplat::Camera, size: [usize; 2]) -> Self {
         SizedCamera { camera: inner, size }.into()
     }
@@ -49,7 +49,7 @@ impl Camera {
     }
 }
 
-/// The numbers of a matrix, from anything of which NumPy makes one.
+/// Returns the numbers of a matrix, from anything that NumPy converts.
 fn matrix<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[[f64; N]; N]> {
     let numpy = value.py().import("numpy")?;
     let array = numpy.call_method1("asarray", (value, "float64"))?;
@@ -68,7 +68,7 @@ fn matrix<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[[f6
     Ok(std::array::from_fn(|i| std::array::from_fn(|j| view[[i, j]])))
 }
 
-/// A size that an image can have.
+/// Returns an image's size, if it is valid.
 fn checked(width: usize, height: usize) -> PyResult<[usize; 2]> {
     if size_is_allowed(width, height) {
         return Ok([width, height]);
@@ -120,8 +120,8 @@ impl Camera {
         Ok(Camera { inner, size: Some(size), name: name.to_owned(), time: None })
     }
 
-    /// A pinhole at `position` that looks at `target`, with `up` upwards in its image and a vertical field of view of
-    /// `fov_y` degrees.
+    /// Returns a pinhole at `position` that looks at `target`, with `up` upwards in its image and a vertical field of
+    /// view of `fov_y` degrees.
     #[staticmethod]
     #[pyo3(signature = (position, target, *, up=[0.0, -1.0, 0.0], fov_y=45.0, width=1280, height=720))]
     fn look_at(
@@ -141,7 +141,7 @@ impl Camera {
         Ok(Camera::sized(inner, size))
     }
 
-    /// The camera for an image of another size: the same view, so that K is scaled.
+    /// Returns the camera for an image of another size: the same view, with K scaled.
     fn resized(&self, width: usize, height: usize) -> PyResult<Self> {
         Ok(Camera { size: Some(checked(width, height)?), ..self.clone() })
     }
@@ -162,8 +162,8 @@ impl Camera {
         Ok(array::<4>(py, rows))
     }
 
-    /// Focal lengths and principal point in pixels, counted from the corner of the first one, float32 [3, 3]. Of
-    /// parallel rays: pixels per unit.
+    /// Focal lengths and principal point in pixels, counted from the corner of the first one, float32 [3, 3]. For
+    /// orthographic cameras: pixels per unit.
     #[getter]
     #[pyo3(name = "K")]
     fn intrinsics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
@@ -185,26 +185,26 @@ impl Camera {
         Ok(array::<3>(py, [[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]]))
     }
 
-    /// Where it is, in the world.
+    /// Its position in the world.
     #[getter]
     fn position(&self) -> PyResult<(f64, f64, f64)> {
         let [x, y, z] = self.posed()?.0.position;
         Ok((x, y, z))
     }
 
-    /// Width and height of its image in pixels; None where its file has none.
+    /// Width and height of its image in pixels; None if its file has none.
     #[getter]
     fn size(&self) -> Option<(usize, usize)> {
         self.size.map(|[width, height]| (width, height))
     }
 
-    /// Name of its image in the file; empty where it has none.
+    /// Name of its image in the file; empty if it has none.
     #[getter]
     fn name(&self) -> &str {
         &self.name
     }
 
-    /// Its time in seconds, where the file is a path or a video's; else None.
+    /// Its time in seconds, if the file is a path or belongs to a video; else None.
     #[getter]
     fn time(&self) -> Option<f64> {
         self.time
@@ -231,9 +231,10 @@ impl Camera {
     }
 }
 
-/// The cameras of a file or a folder, in its order: this program's own JSON, cameras.json of 3D Gaussian splatting,
-/// transforms.json of nerfstudio, instant-ngp and Blender, nerfstudio's camera_path.json, SuperSplat's settings.json,
-/// or a COLMAP model (docs/cameras.md). `size` ("WIDTHxHEIGHT" or (width, height)) is that of files that have none.
+/// Returns the cameras of a file or a folder, in its order. Supported are this program's own JSON, cameras.json of 3D
+/// Gaussian splatting, transforms.json of nerfstudio, instant-ngp and Blender, nerfstudio's camera_path.json,
+/// SuperSplat's settings.json, and COLMAP models (docs/cameras.md). `size` ("WIDTHxHEIGHT" or (width, height)) is used
+/// for files without one.
 #[pyfunction]
 #[pyo3(signature = (path, *, size=None))]
 pub fn cameras(py: Python<'_>, path: PathBuf, size: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Camera>> {
@@ -263,7 +264,7 @@ pub fn cameras(py: Python<'_>, path: PathBuf, size: Option<&Bound<'_, PyAny>>) -
     all.collect()
 }
 
-/// One camera of a file: a path of this program's own, or the only camera of another's.
+/// Reads one camera of a file: a path of this program's own, or the only camera of another's.
 pub fn of_file(path: &std::path::Path) -> PyResult<(CameraPath, Option<[usize; 2]>)> {
     present(path)?;
     match set::open(path, None).map_err(no_cameras)? {

@@ -16,7 +16,7 @@ use crate::interval::Interval;
 
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
-/// State between key frames is bounded and independent of the stream's length. The arguments are the options of the
+/// The state between key frames is bounded and independent of the stream's length. The arguments are the options of the
 /// command line under the same names; `threads` and `isa` change no bit of any result.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Engine {
@@ -25,7 +25,7 @@ pub struct Engine {
 
 impl Engine {
     fn lock(&self) -> MutexGuard<'_, streamsplat::Engine> {
-        // A panic inside would leave the stream as it was before the frame.
+        // A panic during a frame leaves the stream as it was before the frame.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -84,7 +84,7 @@ impl Engine {
         settings.threads = threads;
         if let Some(text) = motion {
             settings.motion = Some(choice("motion", text)?);
-            // Who asks for the network's motion gets its fading with it.
+            // A request for the network's motion implies its fading.
             settings.fade = None;
         }
         if let Some(text) = reuse {
@@ -120,14 +120,14 @@ impl Engine {
         Ok(Self { inner: Mutex::new(engine) })
     }
 
-    /// Takes the next key frame, `time` seconds into the video, and gives the interval it ends.
+    /// Processes the next key frame, `time` seconds into the video, and returns the interval that it ends.
     ///
     /// `frame` is `[height, width, 3]`, uint8 or floats in [0, 1]; grey is `[height, width]`, and alpha a fourth
-    /// channel, laid over mid grey; `depth` is `[height, width]` float32, inverse depth of any scale. The first frame
-    /// gives its static scene, an interval of no length. After an error the stream is as it was before.
+    /// channel, composited over mid grey. `depth` is `[height, width]` float32, inverse depth of any scale. The first
+    /// frame returns its static scene, an interval of no length. After an error the stream is as it was before.
     ///
-    /// `between` holds the frames since the key frame before with their times, `[(frame, time), …]`, ascending: motion
-    /// and colours are taken from them (`motion="between"`).
+    /// `between` holds the frames since the previous key frame with their times, `[(frame, time), …]`, ascending:
+    /// motion and colours are computed from them (`motion="between"`).
     #[pyo3(signature = (frame, time, depth=None, *, between=None))]
     fn push(
         &self,
@@ -169,13 +169,13 @@ impl Engine {
         Ok(all)
     }
 
-    /// The instruction-set level at work.
+    /// The instruction-set level in use.
     #[getter]
     fn isa(&self, py: Python<'_>) -> &'static str {
         py.detach(|| self.lock().workers().level().name())
     }
 
-    /// The number of threads at work.
+    /// The number of threads in use.
     #[getter]
     fn threads(&self, py: Python<'_>) -> usize {
         py.detach(|| self.lock().workers().threads())

@@ -18,12 +18,12 @@ pyo3::create_exception!(
     "What the engine cannot do: a broken file, a frame it cannot take, a time outside the scene. The message contains what was expected and what was found."
 );
 
-/// The work failed.
+/// Returns the exception of failed work.
 pub fn failed(error: impl std::fmt::Display) -> PyErr {
     Error::new_err(error.to_string())
 }
 
-/// An image could not be drawn.
+/// Returns the exception of an image that could not be drawn.
 pub fn not_drawn(error: RenderError) -> PyErr {
     match error {
         RenderError::Memory { .. } => PyMemoryError::new_err(error.to_string()),
@@ -36,17 +36,17 @@ pub fn not_drawn(error: RenderError) -> PyErr {
     }
 }
 
-/// An argument has a value that it cannot have.
+/// Returns the exception of an invalid value of an argument.
 pub fn wrong(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
-/// An argument is of a type that is not taken.
+/// Returns the exception of an argument of a type that is not supported.
 pub fn mistyped(error: impl std::fmt::Display) -> PyErr {
     PyTypeError::new_err(error.to_string())
 }
 
-/// The system's answer about a file, as Python's own functions raise it: `FileNotFoundError`, `PermissionError`, …
+/// Returns the system's error for a file, as Python's own functions raise it: `FileNotFoundError`, `PermissionError`, …
 pub fn system(path: &Path, cause: &io::Error) -> PyErr {
     let Some(code) = cause.raw_os_error() else {
         return PyOSError::new_err(format!("{}: {cause}", path.display()));
@@ -58,12 +58,12 @@ pub fn system(path: &Path, cause: &io::Error) -> PyErr {
     .unwrap_or_else(|error| error)
 }
 
-/// An error where there is no file or folder, or one that cannot be looked at.
+/// Returns an error if the file or folder is missing or cannot be accessed.
 pub fn present(path: &Path) -> PyResult<()> {
     std::fs::metadata(path).map(drop).map_err(|cause| system(path, &cause))
 }
 
-/// A result could not be written.
+/// Returns the exception of a result that could not be written.
 pub fn not_written(error: OutputError) -> PyErr {
     match error {
         OutputError::Write { path, cause } => system(&path, &cause),
@@ -71,7 +71,7 @@ pub fn not_written(error: OutputError) -> PyErr {
     }
 }
 
-/// A scene could not be read or written.
+/// Returns the exception of a scene that could not be read or written.
 pub fn not_opened(error: SceneError) -> PyErr {
     match error {
         SceneError::Write(error) => not_written(error),
@@ -80,7 +80,7 @@ pub fn not_opened(error: SceneError) -> PyErr {
     }
 }
 
-/// Frames could not be read.
+/// Returns the exception of frames that could not be read.
 pub fn not_read(error: SourceError) -> PyErr {
     match error {
         SourceError::Read { path, cause } => system(&path, &cause),
@@ -89,7 +89,7 @@ pub fn not_read(error: SourceError) -> PyErr {
     }
 }
 
-/// Cameras could not be read.
+/// Returns the exception of cameras that could not be read.
 pub fn no_cameras(error: CameraFileError) -> PyErr {
     match error {
         CameraFileError::Read { path, cause } => system(&path, &cause),

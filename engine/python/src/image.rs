@@ -1,4 +1,4 @@
-//! Images that were drawn.
+//! Drawn images.
 
 use std::path::PathBuf;
 
@@ -12,17 +12,17 @@ use streamsplat::picture::{Picture, size_is_allowed};
 use crate::arrays::borrowed;
 use crate::failure::{failed, not_written, wrong};
 
-/// Width, height, colour, depth, alpha and what was left out.
+/// Width, height, colour, depth, alpha and the number of Gaussians left out.
 type Parts<'py> = (usize, usize, Bound<'py, PyBytes>, Option<Bound<'py, PyBytes>>, Option<Bound<'py, PyBytes>>, u64);
 
-/// A drawn image. Its arrays are read-only and show the engine's own memory.
+/// A drawn image. Its arrays are read-only and share the engine's own memory.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Image {
     picture: Picture,
     depth: Option<Vec<f32>>,
     alpha: Option<Vec<f32>>,
     #[pyo3(get)]
-    /// Gaussians left out because a number of theirs was not finite.
+    /// Number of Gaussians left out because of values that are not finite.
     dropped: u64,
 }
 
@@ -41,7 +41,7 @@ pub enum Drawn {
 }
 
 impl Drawn {
-    /// The first of the images, or all.
+    /// Returns the first of the images, or all.
     pub fn of(mut images: Vec<Image>, many: bool) -> PyResult<Drawn> {
         match images.pop() {
             Some(image) if !many => Ok(Drawn::One(image)),
@@ -55,7 +55,7 @@ impl Drawn {
 }
 
 impl Image {
-    /// The image as the library has it.
+    /// Returns the library's image.
     fn drawn(&self) -> streamsplat::Image {
         let Picture { width, height, ref rgb } = self.picture;
         streamsplat::Image {
@@ -74,7 +74,7 @@ impl Image {
         let Picture { width, height, .. } = this.get().picture;
         let Some(plane) = plane else { return Ok(None) };
         let view = ArrayView2::from_shape((height, width), plane).map_err(failed)?;
-        // SAFETY: the plane belongs to the image, which is frozen: nothing moves or writes it while it lives.
+        // SAFETY: the plane belongs to the image, which is frozen: it is neither moved nor written while it lives.
         unsafe { borrowed(&view, this.clone().into_any()) }.map(Some)
     }
 }
@@ -93,74 +93,73 @@ impl Image {
         self.picture.height
     }
 
-    /// Display-space colour, float32 [height, width, 3]: a read-only view of three planes; `.copy()` gives an array
-    /// that can be written to.
+    /// Display-space colour, float32 [height, width, 3]: a read-only view of three planes; `.copy()` returns a writable
+    /// array.
     #[getter]
     fn rgb<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray3<f32>>> {
         let Picture { width, height, rgb } = &this.get().picture;
         let view = ArrayView3::from_shape((3, *height, *width), rgb).map_err(failed)?.permuted_axes([1, 2, 0]);
-        // SAFETY: the planes belong to the image, which is frozen: nothing moves or writes them while it lives.
+        // SAFETY: the planes belong to the image, which is frozen: they are neither moved nor written while it lives.
         unsafe { borrowed(&view, this.clone().into_any()) }
     }
 
-    /// Σ z α T, float32 [height, width]; None unless it was asked for.
+    /// Σ z α T, float32 [height, width]; None unless requested.
     #[getter]
     fn depth<'py>(this: &Bound<'py, Self>) -> PyResult<Option<Bound<'py, PyArray2<f32>>>> {
         Self::plane(this, this.get().depth.as_ref())
     }
 
-    /// Σ α T, float32 [height, width]; None unless it was asked for.
+    /// Σ α T, float32 [height, width]; None unless requested.
     #[getter]
     fn alpha<'py>(this: &Bound<'py, Self>) -> PyResult<Option<Bound<'py, PyArray2<f32>>>> {
         Self::plane(this, this.get().alpha.as_ref())
     }
 
-    /// The image as an 8-bit PNG file, the same bytes as the command line writes.
+    /// Returns the image as an 8-bit PNG file, the same bytes as the command line writes.
     fn png<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         let bytes = py.detach(|| picture_png(&self.picture));
         PyBytes::new(py, &bytes)
     }
 
-    /// The PNG file, by which notebooks show the image.
+    /// Returns the PNG file, for notebooks.
     fn _repr_png_<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         self.png(py)
     }
 
-    /// The samples of the PNG file, uint8 [height, width, 3]: a copy.
+    /// Returns the samples of the PNG file, uint8 [height, width, 3]: a copy.
     fn rgb8<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let bytes = py.detach(|| self.picture.to_rgb8());
         let samples = bytes.into_pyarray(py).reshape([self.picture.height, self.picture.width, 3])?;
         Ok(samples.into_any())
     }
 
-    /// The samples of the PNG file, by which NumPy and Pillow take the image: uint8 [height, width, 3], a copy each
-    /// time.
+    /// The samples of the PNG file, for NumPy and Pillow: uint8 [height, width, 3], a new copy each time.
     #[getter]
     fn __array_interface__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let samples = self.rgb8(py)?;
         let interface = PyDict::new(py);
         interface.set_item("shape", (self.picture.height, self.picture.width, 3))?;
         interface.set_item("typestr", "|u1")?;
-        // Named, so that Pillow takes `tobytes`.
+        // Set explicitly, so that Pillow uses `tobytes`.
         interface.set_item("strides", (3 * self.picture.width, 3, 1))?;
         interface.set_item("data", samples)?;
         interface.set_item("version", 3)?;
         Ok(interface)
     }
 
-    /// Rows, as of its array.
+    /// Number of rows, as of its array.
     fn __len__(&self) -> usize {
         self.picture.height
     }
 
-    /// The bytes of `rgb8`, row by row.
+    /// Returns the bytes of `rgb8`, row by row.
     fn tobytes<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {
         let bytes = py.detach(|| self.picture.to_rgb8());
         PyBytes::new(py, &bytes)
     }
 
-    /// Writes the image: whole or not at all. `.png`, `.webp` (both without loss) and `.exr` (32-bit floats, with depth
-    /// and alpha where the image has them) are written here, other endings (.jpg, .tif, …) by Pillow.
+    /// Writes the image, completely or not at all. `.png`, `.webp` (both lossless) and `.exr` (32-bit floats, with
+    /// depth and alpha if the image has them) are written here, other endings (.jpg, .tif, …) by Pillow.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         let own = py.detach(|| match ending.as_str() {
@@ -189,7 +188,7 @@ impl Image {
         py.detach(|| write_file(&path, &bytes)).map(drop).map_err(not_written)
     }
 
-    /// Parts of the image for pickling.
+    /// Returns the parts of the image for pickling.
     fn __reduce__<'py>(this: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, Parts<'py>)> {
         let image = this.get();
         let bytes = |plane: &[f32]| PyBytes::new(this.py(), bytemuck::cast_slice(plane));
@@ -200,7 +199,7 @@ impl Image {
         Ok((make, (*width, *height, bytes(rgb), depth, alpha, image.dropped)))
     }
 
-    /// The image of these parts.
+    /// Returns the image of these parts.
     #[staticmethod]
     fn _of_parts(
         width: usize,

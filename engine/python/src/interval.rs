@@ -23,16 +23,16 @@ use crate::failure::{failed, not_drawn, not_written};
 use crate::image::{Drawn, Image};
 use crate::splats::{Splats, format_of, warn};
 
-/// The scene from one key frame to the next, valid for good and independent of the engine that made it.
+/// The scene from one key frame to the next. It does not change and is independent of the engine that made it.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Interval {
     pub inner: streamsplat::Interval,
-    /// Threads that draw it: those of the engine or the scene that gave it; of a copy, its own from its first image on.
+    /// Threads that draw it: those of its engine or scene. A copy has its own from its first image on.
     workers: OnceLock<Workers>,
 }
 
 impl Interval {
-    /// An interval that `workers` draw.
+    /// Returns an interval that `workers` draw.
     pub fn new(inner: streamsplat::Interval, workers: &Workers) -> Self {
         Self { inner, workers: OnceLock::from(workers.clone()) }
     }
@@ -45,7 +45,7 @@ impl Interval {
         Ok(self.workers.get_or_init(|| workers))
     }
 
-    /// PNG of the interval's middle, in the source's own view.
+    /// Draws a PNG of the interval's middle, in the source's own view.
     pub fn picture<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let streamsplat::Interval { start, end, .. } = self.inner;
         let (workers, options) = (self.workers()?, streamsplat::RenderOptions::default());
@@ -76,13 +76,13 @@ impl Interval {
         self.inner.end
     }
 
-    /// Gaussians left out because a number of theirs was not finite.
+    /// Number of Gaussians left out because of values that are not finite.
     #[getter]
     fn dropped(&self) -> u64 {
         self.inner.dropped
     }
 
-    /// Identities that ended in others: pairs (identity, the one that goes on in its place).
+    /// Identities that ended in others: pairs (identity, the one that replaces it).
     #[getter]
     fn merges(&self) -> Vec<(u64, u64)> {
         self.inner.merges.iter().map(|m| (m.identity, m.into)).collect()
@@ -103,8 +103,8 @@ impl Interval {
         format!("Interval({index}: {start:.3} s to {end:.3} s, {} Gaussians)", gaussians.len())
     }
 
-    /// Writes the Gaussians at `time`, by default the interval's end, as a still scene, in the format that the name
-    /// ends in: `.ply`, `.compressed.ply`, `.spz`, `.sog`, `.glb` or `.splat`.
+    /// Writes the Gaussians at `time`, by default the interval's end, as a still scene, in the format by the name's
+    /// ending: `.ply`, `.compressed.ply`, `.spz`, `.sog`, `.glb` or `.splat`.
     #[pyo3(signature = (path, time=None))]
     fn save(&self, py: Python<'_>, path: PathBuf, time: Option<f64>) -> PyResult<()> {
         let format = format_of(&path)?;
@@ -118,7 +118,7 @@ impl Interval {
         warn(py, &notes)
     }
 
-    /// The Gaussians at `time`, by default the interval's end, in the world: the numbers of the file that `save`
+    /// Returns the Gaussians at `time`, by default the interval's end, in the world: the values in the file that `save`
     /// writes.
     #[pyo3(signature = (time=None))]
     pub fn at(&self, py: Python<'_>, time: Option<f64>) -> PyResult<Splats> {
@@ -131,12 +131,12 @@ impl Interval {
         Splats::new(still, Some(identities), workers)
     }
 
-    /// PNG of the interval's middle, by which notebooks show it.
+    /// Returns a PNG of the interval's middle, for notebooks.
     fn _repr_png_<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         self.picture(py)
     }
 
-    /// Parts of the interval for pickling.
+    /// Returns the parts of the interval for pickling.
     fn __reduce__<'py>(
         this: &Bound<'py, Self>,
     ) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>, [[usize; 2]; 4]))> {
@@ -147,7 +147,7 @@ impl Interval {
         Ok((make, (PyBytes::new(this.py(), &bytes), [source, model, offset, content])))
     }
 
-    /// The interval of these parts.
+    /// Returns the interval of these parts.
     #[staticmethod]
     fn _of_parts(py: Python<'_>, bytes: &[u8], placement: [[usize; 2]; 4]) -> PyResult<Self> {
         let [source, model, offset, content] = placement;
@@ -156,11 +156,11 @@ impl Interval {
         Ok(Self { inner, workers: OnceLock::new() })
     }
 
-    /// The scene at `time` seconds: an image, or a list of them where `time` or `camera` is a list.
+    /// Draws the scene at `time` seconds: an image, or a list of images if `time` or `camera` is a list.
     ///
     /// `camera` is None (the source's own view), a Camera, a dictionary in the JSON form of cameras, or the path of a
-    /// file with one; `size` is 'model' (the default, where the camera has none), 'source', 'WIDTHxHEIGHT' or (width,
-    /// height); `background` is a grey or a colour in [0, 1].
+    /// file with one. `size` is 'model' (the default, if the camera has none), 'source', 'WIDTHxHEIGHT' or (width,
+    /// height). `background` is a grey or a colour in [0, 1].
     #[pyo3(signature = (time, camera=None, *, size=None, background=None, depth=false, alpha=false, antialias=false))]
     pub fn render(
         &self,
@@ -189,16 +189,16 @@ impl Interval {
         Drawn::of(images, many)
     }
 
-    /// The Gaussian that shows most at a pixel (column, row) of the source's frame: (identity, index, weight, world
-    /// position), or None where nothing is drawn.
+    /// Returns the most visible Gaussian at a pixel (column, row) of the source's frame: (identity, index, weight,
+    /// world position), or None if nothing is drawn there.
     fn pick(&self, py: Python<'_>, time: f64, pixel: [f64; 2]) -> PyResult<Option<(u64, usize, f64, [f32; 3])>> {
         let picked = py.detach(|| self.inner.pick(time, pixel, self.workers()?).map_err(failed))?;
         Ok(picked.map(|p| (p.identity, p.index, p.weight, p.position)))
     }
 }
 
-/// The Gaussians of an interval, one read-only array per property, in drawing order. The arrays show the interval's own
-/// memory.
+/// The Gaussians of an interval, one read-only array per property, in drawing order. The arrays share the interval's
+/// own memory.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Gaussians {
     interval: Py<Interval>,
@@ -210,7 +210,7 @@ impl Gaussians {
     }
 
     fn column<'py, T: Element>(&self, py: Python<'py>, values: &[T]) -> PyResult<Bound<'py, PyArray1<T>>> {
-        // SAFETY: `values` belongs to the interval, which is frozen: nothing moves or writes it while it lives.
+        // SAFETY: `values` belongs to the interval, which is frozen: they are neither moved nor written while it lives.
         unsafe { borrowed(&ArrayView1::from(values), self.interval.bind(py).clone().into_any()) }
     }
 
@@ -224,7 +224,7 @@ impl Gaussians {
     }
 }
 
-/// Getters that show one array each.
+/// Defines getters that show one array each.
 macro_rules! arrays {
     ($($(#[doc = $doc:literal])+ $name:ident: $how:ident -> $kind:ty;)+) => {
         #[pymethods]
@@ -238,7 +238,7 @@ macro_rules! arrays {
                 format!("Gaussians({} of interval {index}: arrays mean, velocity, opacity, scale, rgb, identity, …)", self.__len__())
             }
 
-            /// Which end of the interval `mean`, `opacity` and `rgb` belong to, uint8 [N]: 0 its start, 1 its end. A
+            /// The end of the interval that `mean`, `opacity` and `rgb` belong to, uint8 [N]: 0 its start, 1 its end. A
             /// copy.
             #[getter]
             fn reference<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u8>> {
@@ -271,18 +271,18 @@ arrays! {
     opacity: column -> PyArray1<f32>;
     /// Standard deviations along x and z, float32 [N, 2].
     scale: table -> PyArray2<f32>;
-    /// That along y, in scene space, over the mean of the two, float32 [N].
+    /// Standard deviation along y, in scene space, over the mean of the two, float32 [N].
     thickness: column -> PyArray1<f32>;
     /// Display-space colour at the reference time, float32 [N, 3].
     rgb: table -> PyArray2<f32>;
     /// Change of colour per interval, float32 [N, 3].
     rgb_rate: table -> PyArray2<f32>;
-    /// Who it is, uint64 [N]: never reused within a stream.
+    /// Identity, uint64 [N]: never reused within a stream.
     identity: column -> PyArray1<u64>;
-    /// The key frame in which the identity was first seen, uint64 [N].
+    /// The key frame in which the identity first appeared, uint64 [N].
     birth: column -> PyArray1<u64>;
     /// The key frame that reconstructed the record, uint64 [N].
     frame: column -> PyArray1<u64>;
-    /// From `mean` to the identity's tracked point, float32 [N, 3].
+    /// Vector from `mean` to the identity's tracked point, float32 [N, 3].
     offset: table -> PyArray2<f32>;
 }

@@ -1,8 +1,8 @@
 //! `streamsplat_cpu._streamsplat`: the engine for Python.
 //!
-//! Arrays are NumPy's. Those that come out show the engine's own memory, read-only, without a copy; those that go in
-//! are read where they lie, whatever their strides. Whatever takes long runs without the interpreter's lock. Python
-//! code around it lies in `streamsplat_cpu/`.
+//! Arrays are NumPy's. Returned arrays share the engine's own memory, read-only, without a copy. Arguments are read in
+//! place, with any strides. Long work runs without the interpreter's lock. Python code around it is in
+//! `streamsplat_cpu/`.
 
 mod arguments;
 mod arrays;

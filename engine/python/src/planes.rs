@@ -1,4 +1,4 @@
-//! Images of splats in their planes: what `model/train` draws.
+//! Images of splats in their planes, as `model/train` draws them.
 
 use numpy::PyUntypedArrayMethods;
 use numpy::{IntoPyArray, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3, PyReadonlyArray4};
@@ -18,7 +18,7 @@ pub struct Planes {
 
 #[pymethods]
 impl Planes {
-    /// The lists of `splats [M, N, 5]` (u, v, variances along x and y, opacity) in the order of `keys [M, N]`.
+    /// Builds the lists of `splats [M, N, 5]` (u, v, variances along x and y, opacity) in the order of `keys [M, N]`.
     #[new]
     fn new(
         py: Python<'_>,
@@ -37,7 +37,7 @@ impl Planes {
         Ok(Self { inner, shape: [images, height, width, count] })
     }
 
-    /// Images `[M, H, W, D]` and alphas `[M, H, W]` in `colors [M, N, D]` on `backgrounds [M, D]`.
+    /// Draws images `[M, H, W, D]` and alphas `[M, H, W]` in `colors [M, N, D]` on `backgrounds [M, D]`.
     fn draw<'py>(
         &self,
         py: Python<'py>,
@@ -51,7 +51,7 @@ impl Planes {
         Ok((images.into_pyarray(py).reshape([m, h, w, channels])?, alphas.into_pyarray(py).reshape([m, h, w])?))
     }
 
-    /// Gradients by splats `[M, N, 5]` and colours `[M, N, D]` from what was drawn and the gradient by the images.
+    /// Computes gradients by splats `[M, N, 5]` and colours `[M, N, D]` from the drawn images and the gradient by them.
     fn gradients<'py>(
         &self,
         py: Python<'py>,

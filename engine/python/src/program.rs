@@ -10,7 +10,7 @@ pub fn main(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
     py.detach(|| streamsplat_cli::run(arguments))
 }
 
-/// The commit that the wheel was made from, where that is known.
+/// Returns the commit that the wheel was built from, if known.
 pub fn commit() -> Option<&'static str> {
     streamsplat_cli::commit()
 }

@@ -1,5 +1,5 @@
-//! One camera's view of arrays of Gaussians: images in any colours, and gradients. `streamsplat_cpu/raster.py` composes
-//! gsplat's call of it.
+//! One camera's view of arrays of Gaussians: images in any colours, and gradients. `streamsplat_cpu/raster.py` builds
+//! gsplat's function from it.
 
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
@@ -13,7 +13,7 @@ use streamsplat::raster::{
 
 use crate::failure::wrong;
 
-/// An argument that cannot be drawn, as a Python exception.
+/// Converts an error of an argument to a Python exception.
 pub(crate) fn refused(error: RasterError) -> PyErr {
     match error {
         RasterError::Memory { .. } => pyo3::exceptions::PyMemoryError::new_err(error.to_string()),
@@ -23,7 +23,7 @@ pub(crate) fn refused(error: RasterError) -> PyErr {
 
 type Table<'py> = PyReadonlyArray2<'py, f32>;
 
-/// The rows of an array of `W` columns.
+/// Returns the rows of an array of `W` columns.
 fn rows<'a, const W: usize>(name: &str, array: &'a Table<'_>) -> PyResult<&'a [[f32; W]]> {
     match (array.shape(), array.as_slice()) {
         (&[_, width], Ok(values)) if width == W => Ok(values.as_chunks().0),
@@ -31,7 +31,7 @@ fn rows<'a, const W: usize>(name: &str, array: &'a Table<'_>) -> PyResult<&'a [[
     }
 }
 
-/// The values of an array.
+/// Returns the values of an array.
 pub(crate) fn flat<'a, D: numpy::ndarray::Dimension>(
     name: &str,
     array: &'a numpy::PyReadonlyArray<'_, f32, D>,
@@ -39,27 +39,27 @@ pub(crate) fn flat<'a, D: numpy::ndarray::Dimension>(
     array.as_slice().map_err(|_| wrong(format!("{name}: expected a contiguous array, found one with gaps")))
 }
 
-/// A square matrix.
+/// Returns a square matrix.
 fn matrix<const W: usize>(name: &str, array: &Table<'_>) -> PyResult<[[f32; W]; W]> {
     rows::<W>(name, array)?
         .try_into()
         .map_err(|_| wrong(format!("{name}: expected {W} rows, found {}", array.shape()[0])))
 }
 
-/// A new array `[N, W]`.
+/// Returns a new array `[N, W]`.
 fn table<'py, const W: usize>(py: Python<'py>, values: Vec<[f32; W]>) -> PyResult<Bound<'py, PyArray2<f32>>> {
     let rows = values.len();
     values.into_flattened().into_pyarray(py).reshape([rows, W])
 }
 
-/// Gaussians as one camera sees them.
+/// Gaussians as seen by one camera.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct View {
     inner: raster::View,
     size: [usize; 2],
 }
 
-/// Centres, depths, conics, opacities, radii, and the place of the eye.
+/// Centres, depths, conics, opacities, radii, and the eye's position.
 type ProjectedArrays<'py> = (
     Bound<'py, PyArray2<f32>>,
     Bound<'py, PyArray1<f32>>,
@@ -122,7 +122,7 @@ impl View {
         Ok(Self { inner, size: [height, width] })
     }
 
-    /// Centres `[N, 2]`, depths `[N]`, conics `[N, 3]`, opacities `[N]`, radii `[N, 2]`, and the place of the eye
+    /// Returns centres `[N, 2]`, depths `[N]`, conics `[N, 3]`, opacities `[N]`, radii `[N, 2]`, and the eye's position
     /// `[3]`.
     fn projected<'py>(&self, py: Python<'py>) -> PyResult<ProjectedArrays<'py>> {
         let all = self.inner.projected();
@@ -137,7 +137,7 @@ impl View {
         ))
     }
 
-    /// Image `[H, W, D]` and alpha `[H, W]` in colours `[N, D]`, on a background `[D]` (or of no values).
+    /// Draws image `[H, W, D]` and alpha `[H, W]` in colours `[N, D]`, on a background `[D]` (or an empty array).
     fn draw<'py>(
         &self,
         py: Python<'py>,
@@ -154,7 +154,8 @@ impl View {
         ))
     }
 
-    /// Gradients by footprints `[N, 6]`, colours `[N, D]` and background, from what was drawn and the gradients by it.
+    /// Computes gradients by footprints `[N, 6]`, colours `[N, D]` and background, from the drawn image and alpha and
+    /// the gradients by them.
     #[expect(clippy::too_many_arguments, reason = "what was drawn, and two gradients")]
     fn draw_gradients<'py>(
         &self,
@@ -189,8 +190,8 @@ impl View {
         ))
     }
 
-    /// Gradients by means, quaternions, scales, opacities and the view matrix, from those by footprints `[N, 6]`,
-    /// depths `[N]` (or of no values) and the place of the eye `[3]`.
+    /// Computes gradients by means, quaternions, scales, opacities and the view matrix, from those by footprints `[N,
+    /// 6]`, depths `[N]` (or an empty array) and the eye's position `[3]`.
     #[expect(clippy::too_many_arguments, reason = "Gaussians, and three gradients")]
     fn gradients<'py>(
         &self,
@@ -228,7 +229,7 @@ impl View {
     }
 }
 
-/// Colours `[N, 3]` of harmonics `[N, K, 3]` up to `degree`, seen from `eye`.
+/// Computes colours `[N, 3]` from harmonics `[N, K, 3]` up to `degree`, seen from `eye`.
 #[pyfunction]
 pub fn harmonics<'py>(
     py: Python<'py>,
@@ -243,7 +244,7 @@ pub fn harmonics<'py>(
     table(py, colours)
 }
 
-/// Gradients by coefficients, means and the eye from those by the colours that [`harmonics`] made.
+/// Computes gradients by coefficients, means and the eye from those by the colours of [`harmonics`].
 #[pyfunction]
 #[expect(clippy::type_complexity, reason = "three arrays")]
 pub fn harmonics_gradients<'py>(

@@ -1,4 +1,4 @@
-//! Whole clips.
+//! Runs over whole clips.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -15,7 +15,7 @@ use crate::failure::{failed, mistyped, no_cameras, not_opened, not_read, not_wri
 use crate::program;
 use crate::source::Frames;
 
-/// Calls `progress(done, total)`; an exception in it, or Ctrl-C, asks to stop and is kept.
+/// Calls `progress(done, total)`; an exception in it, or Ctrl-C, requests a stop and is kept.
 struct Caller {
     progress: Option<Py<PyAny>>,
     raised: Arc<Mutex<Option<PyErr>>>,
@@ -37,7 +37,7 @@ impl Observer for Caller {
 
 /// Reconstructs `input`, a path or an iterable of frames, into `out` and returns the record in JSON. `options` are
 /// names and texts of the options of `run`. `progress(done, total)` is called as frames are done; an exception in it,
-/// or Ctrl-C, ends the run after the interval at hand and is raised here.
+/// or Ctrl-C, ends the run after the current interval and is raised here.
 #[pyfunction]
 pub fn run(
     py: Python<'_>,
@@ -50,7 +50,7 @@ pub fn run(
     let stop = Stop::default();
     let run = match input.extract::<PathBuf>() {
         Ok(path) => {
-            // Other inputs than files have errors of their own.
+            // Inputs other than files have their own errors.
             if path != *"-" && !path.to_string_lossy().contains("://") {
                 present(&path)?;
             }
@@ -123,7 +123,7 @@ impl Iterator for Given {
     }
 }
 
-/// The run of these options.
+/// Builds the run with these options.
 fn assembled(run: impl FnOnce(RunOptions) -> Run, options: Vec<(String, String)>) -> Result<Run, Error> {
     let (mut all, mut machine) = (RunOptions::default(), Machine::default());
     let (mut resume, mut overwrite, mut json) = (false, false, None);
@@ -134,7 +134,7 @@ fn assembled(run: impl FnOnce(RunOptions) -> Run, options: Vec<(String, String)>
             "resume" => resume = flag()?,
             "overwrite" => overwrite = flag()?,
             "json" => json = Some(PathBuf::from(text)),
-            // The circle of a flag without a value.
+            // The default circle of a flag without a value.
             "sway" if text == "true" => _ = all.set("sway", Motion::SWAY)?,
             _ if all.set(&name, &text)? || machine.set(&name, &text)? => {}
             _ => return Err(Error::usage(format!("{name}: expected an option of `streamsplat run`"))),

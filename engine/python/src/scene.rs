@@ -21,8 +21,8 @@ use crate::interval::Interval;
 use crate::splats::{Splats, warn};
 use crate::view::Viewer;
 
-/// A scene on disk: one in time, that the command line or a SceneWriter wrote (its intervals are read when they are
-/// needed), or a still one, a splat file in any format that is read (docs/formats.md), which is read as a whole.
+/// A scene on disk. A scene in time is one that the command line or a SceneWriter wrote; its intervals are read when
+/// needed. A still scene is a splat file in any supported format (docs/formats.md), which is read as a whole.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Scene {
     path: PathBuf,
@@ -32,7 +32,7 @@ pub struct Scene {
 
 enum Kind {
     Moving(scene::Scene),
-    /// A still scene, with the name of its format; at every time where its Gaussians change.
+    /// A still scene, with the name of its format, and its Gaussians over time if they change.
     Still {
         splats: Py<Splats>,
         format: &'static str,
@@ -46,7 +46,7 @@ impl Scene {
         Ok(Interval::new(inner, &self.workers))
     }
 
-    /// The scene in time.
+    /// Returns the scene in time.
     fn moving(&self) -> PyResult<&scene::Scene> {
         match &self.kind {
             Kind::Moving(scene) => Ok(scene),
@@ -57,7 +57,7 @@ impl Scene {
         }
     }
 
-    /// Gaussians of a still scene at a time.
+    /// Returns the Gaussians of a still scene at a time.
     fn still_at<'py>(
         &self,
         py: Python<'py>,
@@ -74,7 +74,7 @@ impl Scene {
         }
     }
 
-    /// Images of a scene in time.
+    /// Draws images of a scene in time.
     fn draw(
         &self,
         py: Python<'_>,
@@ -140,7 +140,7 @@ impl Scene {
         Ok(self.moving()?.span())
     }
 
-    /// Start and end of each interval in seconds; none of a still scene.
+    /// Start and end of each interval in seconds; empty for a still scene.
     #[getter]
     fn times(&self) -> Vec<(f64, f64)> {
         match &self.kind {
@@ -149,7 +149,7 @@ impl Scene {
         }
     }
 
-    /// Intervals; 0 of a still scene.
+    /// Number of intervals; 0 for a still scene.
     fn __len__(&self) -> usize {
         match &self.kind {
             Kind::Moving(scene) => scene.index().intervals.len(),
@@ -161,7 +161,7 @@ impl Scene {
         true
     }
 
-    /// Interval `i`, read from its file and checked against its digest; a list of them for a slice.
+    /// Returns interval `i`, read from its file and checked against its digest; a list of intervals for a slice.
     fn __getitem__<'py>(&self, py: Python<'py>, i: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
         let scene = self.moving()?;
         let count = self.__len__();
@@ -179,14 +179,14 @@ impl Scene {
         self.read(py, scene, place)?.into_bound_py_any(py)
     }
 
-    /// The interval that shows `time`.
+    /// Returns the interval that shows `time`.
     fn interval(&self, py: Python<'_>, time: f64) -> PyResult<Interval> {
         let scene = self.moving()?;
         let place = scene.find(time).map_err(failed)?;
         self.read(py, scene, place)
     }
 
-    /// The Gaussians at `time` seconds, in the world; of a still scene without a time.
+    /// Returns the Gaussians at `time` seconds, in the world; for a still scene, without a time.
     #[pyo3(signature = (time=None))]
     fn at<'py>(&self, py: Python<'py>, time: Option<f64>) -> PyResult<Bound<'py, Splats>> {
         match (&self.kind, time) {
@@ -206,9 +206,9 @@ impl Scene {
         }
     }
 
-    /// Images: one, or a list where `time` or `camera` is a list.
+    /// Draws an image, or a list of images if `time` or `camera` is a list.
     ///
-    /// Of a scene in time `render(time, camera)`, as Interval.render; of a still one `render(camera)`, as
+    /// A scene in time has `render(time, camera)`, as in Interval.render; a still scene has `render(camera)`, as in
     /// Splats.render.
     #[pyo3(signature = (time=None, camera=None, *, size=None, background=None, depth=false, alpha=false, antialias=None))]
     fn render(
@@ -247,7 +247,7 @@ impl Scene {
                     Some(time) => arguments::places(time, camera)?,
                 };
                 let given = size.is_some() && options.size != Size::Model;
-                // Of one that changes, each time has its own Gaussians.
+                // If it changes, each time has its own Gaussians.
                 if in_time.is_some() && time.is_some() {
                     let mut images = Vec::with_capacity(places.len());
                     for place in &places {
@@ -263,8 +263,8 @@ impl Scene {
         }
     }
 
-    /// Opens the page of `streamsplat view` in the browser (unless `open` is False). It is served to this machine alone
-    /// until the Viewer is closed.
+    /// Opens the page of `streamsplat view` in the browser (unless `open` is False). It is served on the loopback
+    /// address until the Viewer is closed.
     #[pyo3(signature = (*, port=0, open=true))]
     fn view(&self, py: Python<'_>, port: u16, open: bool) -> PyResult<Viewer> {
         let title = self.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -281,7 +281,7 @@ impl Scene {
         Ok(viewer)
     }
 
-    /// PNG of the scene's first picture, by which notebooks show it.
+    /// Returns a PNG of the scene's first picture, for notebooks.
     fn _repr_png_<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         match &self.kind {
             Kind::Moving(scene) => self.read(py, scene, scene.index().intervals.len().min(2) - 1)?.picture(py),
@@ -308,7 +308,7 @@ impl Scene {
     }
 }
 
-/// Writes a scene while it grows; a context manager. What is on disk is a valid scene at any moment.
+/// Writes a scene while it grows; a context manager. The files on disk are a valid scene at any moment.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct SceneWriter {
     inner: Mutex<Option<scene::SceneWriter>>,

@@ -12,8 +12,8 @@ use crate::failure::{not_read, present};
 
 /// The frames of a video: pairs (frame, time), frame float32 [height, width, 3] in [0, 1], time in seconds.
 ///
-/// `input` is a folder of images, an image, a .y4m file, or any video where an ffmpeg program is installed; decoded as
-/// the command line does.
+/// `input` is a folder of images, an image, a .y4m file, or any video if an ffmpeg program is installed. Decoding is
+/// the same as by the command line.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Frames {
     path: PathBuf,
@@ -23,12 +23,12 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Frames per second.
+    /// Returns the frames per second.
     pub fn rate(&self) -> f64 {
         self.fps
     }
 
-    /// How many frames there are, where that is known.
+    /// Returns the number of frames, if known.
     pub fn frames(&self) -> Option<usize> {
         self.count
     }
@@ -39,7 +39,7 @@ impl Frames {
     #[new]
     #[pyo3(signature = (input, *, fps=None))]
     fn new(py: Python<'_>, input: PathBuf, fps: Option<f64>) -> PyResult<Self> {
-        // Other inputs than files have errors of their own.
+        // Inputs other than files have their own errors.
         if input != *"-" && !input.to_string_lossy().contains("://") {
             present(&input)?;
         }
@@ -54,7 +54,7 @@ impl Frames {
         self.fps
     }
 
-    /// How many frames there are, where that is known beforehand.
+    /// Number of frames, if it is known beforehand.
     #[getter]
     fn count(&self) -> Option<usize> {
         self.count

@@ -1,4 +1,4 @@
-//! Gaussians in the world at one instant, as renderers take them.
+//! Gaussians in the world at one time, in the form that renderers use.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -27,18 +27,18 @@ use crate::camera::Camera;
 use crate::failure::{failed, mistyped, not_drawn, not_written, wrong};
 use crate::image::{Drawn, Image};
 
-/// Size of images of which nothing sets it.
+/// Default image size.
 pub const SIZE: [usize; 2] = [1280, 720];
 /// Size of a picture in a notebook.
 pub const SHOWN: [usize; 2] = [640, 360];
-/// Images for which Gaussians are grouped.
+/// Number of images from which Gaussians are grouped.
 const MANY: usize = 8;
 
-/// Gaussians in the world at one instant: the numbers of a splat file, as read-only arrays for gsplat, viser, Rerun and
+/// Gaussians in the world at one time: the values of a splat file, as read-only arrays for gsplat, viser, Rerun and
 /// nerfstudio.
 ///
 /// Units are square; axes are those of docs/cameras.md, x to the right, y down and z to the front. `Splats(means,
-/// scales, opacities, quats=…, colors=…)` makes one of arrays or tensors: `colors` [N, 3] are seen from every
+/// scales, opacities, quats=…, colors=…)` is made from arrays or tensors: `colors` [N, 3] do not depend on the
 /// direction, `sh` [N, K, 3] are coefficients of harmonics (K = 1, 4, 9 or 16).
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Splats {
@@ -47,12 +47,13 @@ pub struct Splats {
     quats: OnceLock<Vec<[f32; 4]>>,
     colors: OnceLock<Vec<[f32; 3]>>,
     coefficients: OnceLock<Vec<f32>>,
-    /// Threads that draw it: those of the scene or the interval; of arrays, its own from its first image on.
+    /// Threads that draw it: those of its scene or interval. If made from arrays, it has its own from its first image
+    /// on.
     workers: OnceLock<Workers>,
 }
 
 impl Splats {
-    /// The Gaussians of a still scene, numbered unless they have identities.
+    /// Returns the Gaussians of a still scene, numbered unless they have identities.
     pub fn new(still: Still, identities: Option<Vec<u64>>, workers: &Workers) -> PyResult<Self> {
         let identities = identities.unwrap_or_else(|| (0..still.len() as u64).collect());
         let scene = Drawable::new(still, workers).map_err(failed)?;
@@ -85,7 +86,7 @@ impl Splats {
         })
     }
 
-    /// Images from these places; without a camera from the scene's own.
+    /// Draws images from these places; the default is the scene's own camera.
     pub fn draw(
         &self,
         py: Python<'_>,
@@ -132,7 +133,7 @@ impl Splats {
         images
     }
 
-    /// PNG of the scene's own view.
+    /// Draws a PNG of the scene's own view.
     pub fn picture<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         let [width, height] = SHOWN;
         let camera = self.framing()?.camera(0.0, width as f64 / height as f64);
@@ -145,7 +146,7 @@ impl Splats {
     }
 }
 
-/// Writes in the format that a name ends in.
+/// Returns the format by a name's ending.
 pub fn format_of(path: &std::path::Path) -> PyResult<&'static Format> {
     Format::of_name(path).ok_or_else(|| {
         let endings: Vec<String> = FORMATS.iter().map(|format| format!(".{}", format.ending)).collect();
@@ -153,7 +154,7 @@ pub fn format_of(path: &std::path::Path) -> PyResult<&'static Format> {
     })
 }
 
-/// Warnings about what a file does not hold.
+/// Warns about content that a file does not hold.
 pub fn warn(py: Python<'_>, notes: &[String]) -> PyResult<()> {
     let category = py.get_type::<PyUserWarning>();
     notes.iter().try_for_each(|note| {
@@ -162,7 +163,7 @@ pub fn warn(py: Python<'_>, notes: &[String]) -> PyResult<()> {
     })
 }
 
-/// Rows of `N` numbers, from anything of which NumPy makes an array `[rows, N]` (`[rows]` where N is 1).
+/// Returns rows of `N` numbers, from anything that NumPy converts to an array `[rows, N]` (`[rows]` if N is 1).
 fn rows<const N: usize>(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<[f32; N]>> {
     let Some(value) = value else { return Ok(Vec::new()) };
     let array = numbers(name, value)?;
@@ -180,10 +181,10 @@ fn rows<const N: usize>(name: &str, value: Option<&Bound<'_, PyAny>>) -> PyResul
     Ok(table(&view))
 }
 
-/// An array of 32-bit floats.
+/// Converts to an array of 32-bit floats.
 fn numbers<'py>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<PyReadonlyArrayDyn<'py, f32>> {
     let numpy = value.py().import("numpy")?;
-    // The message for tensors on a graphics card, and for those of a graph, contains what to do.
+    // The error for tensors on a graphics card, or in a graph, contains advice.
     let array =
         numpy.call_method1("asarray", (value,)).map_err(|e| mistyped(format!("{name}: {}", e.value(value.py()))))?;
     let kind: char = array.getattr("dtype")?.getattr("kind")?.extract()?;
@@ -191,17 +192,17 @@ fn numbers<'py>(name: &str, value: &Bound<'py, PyAny>) -> PyResult<PyReadonlyArr
         let found = array.getattr("dtype")?;
         return Err(mistyped(format!("{name}: expected numbers, found {found}")));
     }
-    // Before an array that shows one number many times becomes one of its own.
+    // Checked before an array with strides of 0 is copied.
     let shape: Vec<usize> = array.getattr("shape")?.extract()?;
     if let Some(found) = shape.first().filter(|rows| **rows > GAUSSIANS) {
         return Err(wrong(format!("{name}: expected at most {GAUSSIANS} Gaussians, found {found}")));
     }
-    // float64 becomes float32, unaligned arrays aligned ones.
+    // float64 becomes float32; unaligned arrays become aligned.
     let array = numpy.call_method1("require", (array, "float32", "CA"))?;
     array.extract()
 }
 
-/// Its numbers by `N`.
+/// Returns its numbers in groups of `N`.
 fn table<const N: usize>(view: &ArrayViewD<'_, f32>) -> Vec<[f32; N]> {
     let mut all = view.iter().copied();
     (0..view.len() / N).map(|_| std::array::from_fn(|_| all.next().unwrap_or_default())).collect()
@@ -256,7 +257,8 @@ impl Splats {
         Self::new(still, None, &workers)
     }
 
-    /// The still scene of a file in memory. `name` is the file's: `.splat` and `.ksplat` are recognised by its ending.
+    /// Reads the still scene of a file in memory. `name` is the file's: `.splat` and `.ksplat` are recognised by its
+    /// ending.
     #[staticmethod]
     #[pyo3(signature = (data, name=""))]
     fn of_bytes(py: Python<'_>, data: &[u8], name: &str) -> PyResult<Self> {
@@ -272,11 +274,12 @@ impl Splats {
     /// Centres, float32 [N, 3], relative to `offset`.
     #[getter]
     fn means<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        // SAFETY: the scene belongs to the object, which is frozen: nothing moves or writes it while it lives.
+        // SAFETY: the scene belongs to the object, which is frozen: it is neither moved nor written while it lives.
         unsafe { borrowed(&ArrayView2::from(this.get().still().mean.as_slice()), this.clone().into_any()) }
     }
 
-    /// Rotations as unit quaternions (w, x, y, z), float32 [N, 4]; NaN where the file's is 0, which is not drawn.
+    /// Rotations as unit quaternions (w, x, y, z), float32 [N, 4]. NaN if the file's quaternion is 0; these Gaussians
+    /// are not drawn.
     #[getter]
     fn quats<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let own = this.get();
@@ -293,8 +296,8 @@ impl Splats {
         unsafe { borrowed(&ArrayView2::from(this.get().scene.scale()), this.clone().into_any()) }
     }
 
-    /// Covariances R·diag(s²)·Rᵀ, float32 [N, 3, 3], as viser takes them. In binary64, sums from left to right, rounded
-    /// once. A copy.
+    /// Covariances R·diag(s²)·Rᵀ, float32 [N, 3, 3], as required by viser. Computed in binary64, sums from left to
+    /// right, rounded once. A copy.
     #[getter]
     fn covariances<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
         let all = py.detach(|| {
@@ -347,15 +350,15 @@ impl Splats {
         self.still().degree
     }
 
-    /// Which Gaussian each is, uint64 [N]: of a video's scene the identity that lasts from interval to interval, else
-    /// its number.
+    /// Numbers of the Gaussians, uint64 [N]: in a video's scene the identity, which lasts from interval to interval,
+    /// else the index.
     #[getter]
     fn identities<'py>(this: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray1<u64>>> {
         // SAFETY: as in `means`.
         unsafe { borrowed(&ArrayView1::from(&this.get().identities), this.clone().into_any()) }
     }
 
-    /// Which can be drawn, bool [N]: finite numbers, and a rotation. A copy.
+    /// True for Gaussians that can be drawn, bool [N]: finite numbers, and a valid rotation. A copy.
     #[getter]
     fn drawable<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
         PyArray1::from_iter(py, (0..self.still().len()).map(|i| self.still().defect(i).is_none()))
@@ -374,11 +377,11 @@ impl Splats {
         self.still().about.antialiased
     }
 
-    /// Images: one, or a list where `camera` is a list.
+    /// Draws an image, or a list of images if `camera` is a list.
     ///
-    /// `camera` is a Camera, a dictionary in the JSON form of cameras, or the path of a file with one; without it the
-    /// scene is framed by itself. `size` is "WIDTHxHEIGHT" or (width, height), by default the camera's, else 1280×720;
-    /// `antialias` is by default that of the file.
+    /// `camera` is a Camera, a dictionary in the JSON form of cameras, or the path of a file with one; the default
+    /// frames the scene. `size` is "WIDTHxHEIGHT" or (width, height), by default the camera's, else 1280×720.
+    /// `antialias` is by default the file's setting.
     #[pyo3(signature = (camera=None, *, size=None, background=None, depth=false, alpha=false, antialias=None))]
     fn render(
         &self,
@@ -396,8 +399,8 @@ impl Splats {
         Drawn::of(images, many)
     }
 
-    /// The camera that sees most of the scene, `degrees` around it (0: from its widest side, which is the front or the
-    /// right; 90: from the right of that).
+    /// Returns the camera that sees most of the scene, `degrees` around it. 0 is from its widest side, which is the
+    /// front or the right; 90 is from the right of that.
     #[pyo3(signature = (degrees=0.0, *, size=None))]
     fn camera(&self, degrees: f64, size: Option<&Bound<'_, PyAny>>) -> PyResult<Camera> {
         let [width, height] = size.map_or(Ok(SIZE), arguments::pixels)?;
@@ -408,7 +411,7 @@ impl Splats {
         Ok(Camera::sized(camera, [width, height]))
     }
 
-    /// `count` cameras once around the scene, from one distance: those of the command line's `--turntable`.
+    /// Returns `count` cameras once around the scene, at equal distance: those of the command line's `--turntable`.
     #[pyo3(signature = (count, *, size=None))]
     fn orbit(&self, count: u32, size: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Camera>> {
         let [width, height] = size.map_or(Ok(SIZE), arguments::pixels)?;
@@ -418,8 +421,8 @@ impl Splats {
         Ok(around.into_iter().map(|camera| Camera::sized(camera, [width, height])).collect())
     }
 
-    /// Writes the scene in the format that the name ends in: `.ply`, `.compressed.ply`, `.spz`, `.sog`, `.glb` or
-    /// `.splat`. Losses are warnings.
+    /// Writes the scene in the format by the name's ending: `.ply`, `.compressed.ply`, `.spz`, `.sog`, `.glb` or
+    /// `.splat`. Losses are reported as warnings.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let format = format_of(&path)?;
         let written = py.detach(|| {
@@ -430,12 +433,12 @@ impl Splats {
         warn(py, &written.notes)
     }
 
-    /// PNG of the scene as it is framed by itself, by which notebooks show it.
+    /// Returns a PNG of the scene in its default view, for notebooks.
     fn _repr_png_<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
         self.picture(py)
     }
 
-    /// Arrays for pickling.
+    /// Returns arrays for pickling.
     fn __reduce__<'py>(this: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>, Vec<u64>))> {
         let own = this.get();
         let file = this.py().detach(|| streamsplat::export::still::ply(own.still()));
@@ -443,7 +446,7 @@ impl Splats {
         Ok((make, (PyBytes::new(this.py(), &file), own.identities.clone())))
     }
 
-    /// The splats of these parts.
+    /// Returns the splats of these parts.
     #[staticmethod]
     fn _of_parts(py: Python<'_>, file: &[u8], identities: Vec<u64>) -> PyResult<Self> {
         let workers = Workers::new(Level::detect(), 0).map_err(failed)?;
@@ -465,7 +468,7 @@ impl Splats {
     }
 }
 
-/// The library's names of arrays as Python's arguments.
+/// Replaces the library's names of arrays by Python's arguments.
 fn renamed(error: String) -> String {
     let names = [
         ("mean:", "means:"),

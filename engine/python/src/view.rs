@@ -13,7 +13,7 @@ use streamsplat::view::{Recorded, Server, Source, StillSource};
 
 use crate::failure::{failed, wrong};
 
-/// A page under way, served to this machine alone until it is closed or forgotten; a context manager.
+/// A page that is served on the loopback address until it is closed or dropped; a context manager.
 #[pyclass(frozen, module = "streamsplat_cpu")]
 pub struct Viewer {
     server: Mutex<Option<Server>>,
@@ -28,12 +28,12 @@ impl Viewer {
         Ok(Self { server: Mutex::new(Some(server)), url })
     }
 
-    /// The page of a scene in time.
+    /// Opens the page of a scene in time.
     pub fn moving(title: String, scene: scene::Scene, workers: &Workers, port: u16) -> PyResult<Self> {
         Self::start(Arc::new(Recorded::new(title, scene, workers.clone())), port)
     }
 
-    /// The page of a still scene.
+    /// Opens the page of a still scene.
     pub fn still(title: String, still: Still, format: &'static str, workers: &Workers, port: u16) -> PyResult<Self> {
         let path = title.clone().into();
         let file = StillFile { path, format, bytes: 0, blake3: String::new(), still, in_time: None, notes: Vec::new() };
@@ -50,7 +50,7 @@ impl Viewer {
         &self.url
     }
 
-    /// Ends the server.
+    /// Stops the server.
     fn close(&self, py: Python<'_>) {
         py.detach(|| drop(self.server.lock().unwrap_or_else(PoisonError::into_inner).take()));
     }

@@ -1,4 +1,4 @@
-"""3D Gaussians on CPUs: splat files and arrays drawn from any camera, ordinary video turned into scenes in time; the same bits everywhere.
+"""3D Gaussians on CPUs: draws splat files and arrays from any camera, and turns ordinary video into scenes in time; the same bits everywhere.
 
     import streamsplat_cpu
 
@@ -13,14 +13,14 @@
         interval.at(time).means                      # the Gaussians in the world
         image = interval.render(time)                # image.rgb: [height, width, 3]
 
-`rasterization` is gsplat's call, of NumPy arrays or of PyTorch's tensors, which have gradients.
+`rasterization` is gsplat's function, for NumPy arrays or for PyTorch's tensors, with gradients.
 
-`reconstruct` does what the command line's `run` does, of files or of frames in memory. Arrays are read-only; `.copy()` makes one that can be written
-to, and `torch.from_dlpack(array)` a tensor that shares its memory (it must not be written to).
+`reconstruct` is the command line's `run`, for files or for frames in memory. Arrays are read-only; `.copy()` returns a writable one, and
+`torch.from_dlpack(array)` a tensor that shares its memory (it must not be written to).
 
-An argument of a wrong type is a TypeError, one of a wrong value a ValueError. A file that is not there is a FileNotFoundError, one that cannot
-be read or written another OSError. Everything else that fails is a streamsplat_cpu.Error: a broken file, a frame that the engine cannot take, a
-time outside the scene.
+An argument of a wrong type raises a TypeError, a wrong value a ValueError. A missing file raises a FileNotFoundError, a file that cannot be read
+or written another OSError. All other failures raise a streamsplat_cpu.Error: a broken file, a frame that the engine cannot process, a time outside
+the scene.
 """
 
 from ._streamsplat import (

@@ -11,18 +11,18 @@ from typing_extensions import Self
 
 type _OneCamera = Camera | Mapping[str, Any] | str | os.PathLike[str]
 type _Camera = _OneCamera | None
-# Of any of them: a list of one kind is a list of cameras, too.
+# Any of these types: a list of one kind is a list of cameras, too.
 _C = TypeVar("_C", bound=Camera | Mapping[str, Any] | str | os.PathLike[str] | None)
 type _Size = str | tuple[int, int]
 type _Background = float | tuple[float, float, float]
 
 class _Array(Protocol):
-    """Objects that make a NumPy array of themselves, such as torch's tensors."""
+    """Objects that convert to a NumPy array, for example torch's tensors."""
 
     def __array__(self) -> NDArray[Any]: ...
 
 class _ArrayInterface(Protocol):
-    """Objects that show a NumPy array of themselves, such as PIL's images."""
+    """Objects with the interface of a NumPy array, for example PIL's images."""
 
     @property
     def __array_interface__(self) -> dict[str, Any]: ...
@@ -57,7 +57,7 @@ __version__: str
 def harmonics(
     coefficients: NDArray[np.float32], degree: int, means: NDArray[np.float32], eye: Sequence[float]
 ) -> NDArray[np.float32]:
-    """Colours `[N, 3]` of harmonics `[N, K, 3]` up to `degree`, seen from `eye`."""
+    """Computes colours `[N, 3]` from harmonics `[N, K, 3]` up to `degree`, seen from `eye`."""
 
 def harmonics_gradients(
     coefficients: NDArray[np.float32],
@@ -67,21 +67,21 @@ def harmonics_gradients(
     colors: NDArray[np.float32],
     of_colors: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], list[float]]:
-    """Gradients by coefficients, means and the eye from those by the colours that `harmonics` made."""
+    """Computes gradients by coefficients, means and the eye from those by the colours of `harmonics`."""
 
 @final
 class Planes:
-    """Splats in the planes of several images, which training draws."""
+    """Splats in the planes of several images, as training draws them."""
 
     def __new__(
         cls, splats: NDArray[np.float32], keys: NDArray[np.float32], width: int, height: int, largest_alpha: float
     ) -> Self:
-        """Lists of `splats [M, N, 5]` (u, v, variances along x and y, opacity) in the order of `keys [M, N]`."""
+        """Builds the lists of `splats [M, N, 5]` (u, v, variances along x and y, opacity) in the order of `keys [M, N]`."""
 
     def draw(
         self, colors: NDArray[np.float32], backgrounds: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Images `[M, H, W, D]` and alphas `[M, H, W]` in `colors [M, N, D]` on `backgrounds [M, D]`."""
+        """Draws images `[M, H, W, D]` and alphas `[M, H, W]` in `colors [M, N, D]` on `backgrounds [M, D]`."""
 
     def gradients(
         self,
@@ -91,11 +91,11 @@ class Planes:
         alphas: NDArray[np.float32],
         of_images: NDArray[np.float32],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Gradients by splats `[M, N, 5]` and colours `[M, N, D]` from what was drawn and the gradient by the images."""
+        """Computes gradients by splats `[M, N, 5]` and colours `[M, N, D]` from the drawn images and the gradient by them."""
 
 @final
 class View:
-    """Gaussians as one camera sees them."""
+    """Gaussians as seen by one camera."""
 
     def __new__(
         cls,
@@ -125,12 +125,12 @@ class View:
         NDArray[np.int32],
         NDArray[np.float32],
     ]:
-        """Centres `[N, 2]`, depths `[N]`, conics `[N, 3]`, opacities `[N]`, radii `[N, 2]`, and the place of the eye `[3]`."""
+        """Returns centres `[N, 2]`, depths `[N]`, conics `[N, 3]`, opacities `[N]`, radii `[N, 2]`, and the eye's position `[3]`."""
 
     def draw(
         self, colors: NDArray[np.float32], background: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Image `[H, W, D]` and alpha `[H, W]` in colours `[N, D]`, on a background `[D]` (or of no values)."""
+        """Draws image `[H, W, D]` and alpha `[H, W]` in colours `[N, D]`, on a background `[D]` (or an empty array)."""
 
     def draw_gradients(
         self,
@@ -141,7 +141,7 @@ class View:
         of_image: NDArray[np.float32],
         of_alpha: NDArray[np.float32],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Gradients by footprints `[N, 6]`, colours `[N, D]` and background, from what was drawn and the gradients by it."""
+        """Computes gradients by footprints `[N, 6]`, colours `[N, D]` and background, from image, alpha and the gradients by them."""
 
     def gradients(
         self,
@@ -155,7 +155,7 @@ class View:
     ) -> tuple[
         NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]
     ]:
-        """Gradients by means, quaternions, scales, opacities and the view matrix, from those by footprints, depths and the eye."""
+        """Computes gradients by means, quaternions, scales, opacities and the view matrix, from those by footprints, depths and the eye."""
 
 def main(arguments: Sequence[str]) -> int:
     """Runs the program with these arguments, the first of which is its name, and returns its exit code."""
@@ -169,14 +169,14 @@ def run(
     """Reconstructs `input`, a path or frames, into `out` and returns the record in JSON; `options` are names and texts of the options of `streamsplat run`."""
 
 def cameras(path: str | os.PathLike[str], *, size: _Size | None = None) -> list[Camera]:
-    """The cameras of a file of this program, 3D Gaussian splatting, nerfstudio, instant-ngp, Blender, SuperSplat or COLMAP, in its order."""
+    """Returns the cameras of a file of this program, 3D Gaussian splatting, nerfstudio, instant-ngp, Blender, SuperSplat or COLMAP, in its order."""
 
 class Error(Exception):
-    """Something that the engine cannot do; the message contains what was expected and what was found."""
+    """Failure of the engine; the message contains the expected and the found values."""
 
 @final
 class Camera:
-    """A view of a scene: a pose, a lens, and the size of its image if there is one."""
+    """A view of a scene: a pose, a lens, and the size of its image, if it has one."""
 
     def __new__(cls, viewmat: _Numbers, K: _Numbers, width: int, height: int, *, name: str = "") -> Self: ...
     @staticmethod
@@ -189,9 +189,9 @@ class Camera:
         width: int = 1280,
         height: int = 720,
     ) -> Camera:
-        """A pinhole at `position` that looks at `target`, `fov_y` degrees high."""
+        """Returns a pinhole at `position` that looks at `target`, with a vertical field of view of `fov_y` degrees."""
     def resized(self, width: int, height: int) -> Camera:
-        """The same view in an image of another size."""
+        """Returns the same view for an image of another size."""
     @property
     def viewmat(self) -> NDArray[np.float32]:
         """From the world to the camera, [4, 4]."""
@@ -211,7 +211,7 @@ class Camera:
 
 @final
 class Splats:
-    """Gaussians in the world at one instant: read-only arrays for gsplat, viser, Rerun and nerfstudio."""
+    """Gaussians in the world at one time: read-only arrays for gsplat, viser, Rerun and nerfstudio."""
 
     def __new__(
         cls,
@@ -225,7 +225,7 @@ class Splats:
     ) -> Self: ...
     @staticmethod
     def of_bytes(data: bytes, name: str = "") -> Splats:
-        """The still scene of a file in memory; `.splat` and `.ksplat` are recognised by the ending of `name`."""
+        """Reads the still scene of a file in memory; `.splat` and `.ksplat` are recognised by the ending of `name`."""
     def __len__(self) -> int: ...
     @property
     def means(self) -> NDArray[np.float32]:
@@ -252,10 +252,10 @@ class Splats:
     def sh_degree(self) -> int: ...
     @property
     def identities(self) -> NDArray[np.uint64]:
-        """Which Gaussian each is, [N]."""
+        """Numbers of the Gaussians, [N]."""
     @property
     def drawable(self) -> NDArray[np.bool_]:
-        """Which can be drawn, [N]."""
+        """True for Gaussians that can be drawn, [N]."""
     @property
     def offset(self) -> tuple[float, float, float]: ...
     @property
@@ -271,7 +271,7 @@ class Splats:
         alpha: bool = False,
         antialias: bool | None = None,
     ) -> Image:
-        """The scene from `camera`, from its own view without one; a list of images of a list of cameras."""
+        """Draws the scene from `camera`, by default its own view; a list of cameras returns a list of images."""
     @overload
     def render(
         self,
@@ -284,16 +284,16 @@ class Splats:
         antialias: bool | None = None,
     ) -> list[Image]: ...
     def camera(self, degrees: float = 0.0, *, size: _Size | None = None) -> Camera:
-        """The camera that sees most of the scene, `degrees` around it."""
+        """Returns the camera that sees most of the scene, `degrees` around it."""
     def orbit(self, count: int, *, size: _Size | None = None) -> list[Camera]:
-        """`count` cameras once around the scene."""
+        """Returns `count` cameras once around the scene."""
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a .ply, .compressed.ply, .spz, .sog, .glb or .splat file."""
     def _repr_png_(self) -> bytes: ...
 
 @final
 class Viewer:
-    """A page under way, served to this machine alone until it is closed."""
+    """A page that is served on the loopback address until it is closed."""
 
     @property
     def url(self) -> str: ...
@@ -341,7 +341,7 @@ class Engine:
         *,
         between: Sequence[tuple[_Frame, float]] | None = None,
     ) -> Interval:
-        """Takes the next key frame ([height, width, 3]) and returns the interval it ends; `between`: the frames since the one before, with their times."""
+        """Processes the next key frame ([height, width, 3]) and returns the interval that it ends; `between`: the frames since the last one, with times."""
     @property
     def work(self) -> dict[str, dict[str, Any]]:
         """Work done and avoided per stage."""
@@ -379,7 +379,7 @@ class Interval:
         alpha: bool = False,
         antialias: bool = False,
     ) -> Image:
-        """The scene at `time` seconds; a list of images where `time` or `camera` is a list."""
+        """Draws the scene at `time` seconds; a list of images if `time` or `camera` is a list."""
     @overload
     def render(
         self,
@@ -405,16 +405,16 @@ class Interval:
         antialias: bool = False,
     ) -> list[Image]: ...
     def at(self, time: float | None = None) -> Splats:
-        """The Gaussians at `time`, by default the interval's end, in the world."""
+        """Returns the Gaussians at `time`, by default the interval's end, in the world."""
     def _repr_png_(self) -> bytes: ...
     def save(self, path: str | os.PathLike[str], time: float | None = None) -> None:
         """Writes the Gaussians at `time`, by default the interval's end, as a .ply, .compressed.ply, .spz, .sog, .glb or .splat file."""
     def pick(self, time: float, pixel: tuple[float, float]) -> tuple[int, int, float, list[float]] | None:
-        """(identity, index, weight, world position) of what shows most at a pixel of the source's frame."""
+        """Returns (identity, index, weight, world position) of the most visible Gaussian at a pixel of the source's frame."""
 
 @final
 class Gaussians:
-    """The Gaussians of an interval: read-only arrays that show its memory."""
+    """The Gaussians of an interval: read-only arrays that share its memory."""
 
     def __len__(self) -> int: ...
     @property
@@ -448,7 +448,7 @@ class Gaussians:
 
 @final
 class Image:
-    """A drawn image: read-only arrays that show its memory."""
+    """A drawn image: read-only arrays that share its memory."""
 
     @property
     def width(self) -> int: ...
@@ -458,27 +458,27 @@ class Image:
     def dropped(self) -> int: ...
     @property
     def rgb(self) -> NDArray[np.float32]:
-        """Display-space colour, [height, width, 3]: a read-only view; `.copy()` makes an array that can be written to.
+        """Display-space colour, [height, width, 3]: a read-only view; `.copy()` returns a writable array.
 
         From 0 to about 1: harmonics and rounding may exceed 1, and nothing is clamped before `rgb8`."""
     @property
     def depth(self) -> NDArray[np.float32] | None:
-        """Σ z·α·T, [height, width]: over `alpha` the mean depth. None unless `render(depth=True)`."""
+        """Σ z·α·T, [height, width]; divided by `alpha`, the mean depth. None unless `render(depth=True)`."""
     @property
     def alpha(self) -> NDArray[np.float32] | None:
         """Σ α·T, [height, width]. None unless `render(alpha=True)`."""
     def png(self) -> bytes: ...
     def _repr_png_(self) -> bytes: ...
     def rgb8(self) -> NDArray[np.uint8]:
-        """The samples of the PNG file, [height, width, 3]: a copy."""
+        """Returns the samples of the PNG file, [height, width, 3]: a copy."""
     @property
     def __array_interface__(self) -> dict[str, Any]:
-        """The samples of `rgb8`, by which NumPy and Pillow take the image."""
+        """The samples of `rgb8`, for NumPy and Pillow."""
     def tobytes(self) -> bytes: ...
     def __len__(self) -> int:
-        """Rows, as of its array."""
+        """Number of rows, as of its array."""
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes a .png, .webp or .exr file, or by Pillow what else that writes."""
+        """Writes a .png, .webp or .exr file; other formats are written by Pillow."""
 
 @final
 class Frames:
@@ -495,7 +495,7 @@ class Frames:
 
 @final
 class Scene:
-    """A scene on disk: in time, whose intervals are read when they are needed, or a still one, a splat file."""
+    """A scene on disk: a scene in time, whose intervals are read when needed, or a still scene, a splat file."""
 
     def __new__(cls, path: str | os.PathLike[str], *, isa: str = "auto", threads: int = 0) -> Self: ...
     @property
@@ -513,9 +513,9 @@ class Scene:
     @overload
     def __getitem__(self, i: slice, /) -> list[Interval]: ...
     def interval(self, time: float) -> Interval:
-        """The interval that shows `time`."""
+        """Returns the interval that shows `time`."""
     def at(self, time: float | None = None) -> Splats:
-        """The Gaussians at `time` seconds, in the world; of a still scene without a time."""
+        """Returns the Gaussians at `time` seconds, in the world; for a still scene, without a time."""
     def view(self, *, port: int = 0, open: bool = True) -> Viewer:
         """Opens the page of `streamsplat view` in the browser."""
     def _repr_png_(self) -> bytes: ...
@@ -531,7 +531,7 @@ class Scene:
         alpha: bool = False,
         antialias: bool | None = None,
     ) -> Image:
-        """The scene at `time` seconds, a still one from a camera alone; a list of images where `time` or `camera` is a list."""
+        """Draws the scene at `time` seconds, or a still scene from a camera; a list of images if `time` or `camera` is a list."""
     @overload
     def render(
         self,

@@ -1,4 +1,4 @@
-"""A whole clip: video in, scene and images on disk."""
+"""Reconstruction of a whole clip: video in, scene and images on disk."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Reconstruction:
     key_frames: int
     work: dict[str, dict[str, Any]]
     record: dict[str, Any]
-    """The whole of `run.json`."""
+    """The content of `run.json`."""
 
 
 def _text(name: str, value: Any) -> str:
-    """The value of an option as the command line has it."""
+    """Returns the value of an option in the command line's form."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (tuple, list)):
@@ -39,7 +39,7 @@ def _text(name: str, value: Any) -> str:
 
 
 def _input(input: Any) -> Any:
-    """A path as text, anything else as it is."""
+    """Returns a path as text, anything else unchanged."""
     return os.fspath(input) if isinstance(input, os.PathLike) else input
 
 
@@ -53,12 +53,12 @@ def reconstruct(
     """Reconstructs a video as `streamsplat run INPUT --out OUT` does, with the same bytes.
 
     `input` is a file, a folder of images, or an iterable of frames in memory: arrays [height, width, 3], or pairs of an array and its time in seconds.
-    `fps` replaces their times; frames without times follow each other at 24 a second.
+    `fps` replaces their times; frames without times are 1/24 s apart.
 
     `options` are those of the command line: `gap="auto"`, `quality="realtime"`, `size=(640, 360)`, `emit="rgb,scene"`, `fps=12`,
-    `refine_every=2`, `overwrite=True`, `resume=True`, … An `out` that ends as a video does (`.mp4`, `.webm`, `.gif`, …) becomes one, any other is
-    a folder with `scene/`, `frames/` and `run.json`. `progress(done, total)` is called as frames are done; an exception in it, or Ctrl-C, ends the run after
-    the interval at hand, and `resume=True` goes on from there.
+    `refine_every=2`, `overwrite=True`, `resume=True`, … An `out` with the ending of a video (`.mp4`, `.webm`, `.gif`, …) becomes a video, any
+    other a folder with `scene/`, `frames/` and `run.json`. `progress(done, total)` is called as frames are done; an exception in it, or Ctrl-C, ends the
+    run after the current interval, and `resume=True` continues from there.
     """
     given = [(name, _text(name, value)) for name, value in options.items() if value is not None and value is not False]
     record = json.loads(_streamsplat.run(_input(input), os.fspath(out), given, progress))
@@ -67,7 +67,7 @@ def reconstruct(
 
 
 class Reconstructing:
-    """A reconstruction under way: iterates over frames done, `(done, total)`, as `tqdm(..., total=…)` has it. Then `result` is that of `reconstruct`."""
+    """A running reconstruction: iterates over finished frames, `(done, total)`, as for `tqdm(..., total=…)`. Then `result` is that of `reconstruct`."""
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ class Reconstructing:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends the run after the interval at hand."""
+        """Ends the run after the current interval."""
         self._stop = True
 
     def __iter__(self) -> Iterator[tuple[int, int | None]]:

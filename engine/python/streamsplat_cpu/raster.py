@@ -23,7 +23,7 @@ _NONE = np.empty(0, np.float32)
 
 
 class Meta(dict[str, Any]):
-    """What gsplat's third result holds, apart from the lists of its tiles."""
+    """The content of gsplat's third result, except the lists of its tiles."""
 
     ABSENT = ("tiles_per_gauss", "isect_ids", "flatten_ids", "isect_offsets")
 
@@ -34,13 +34,13 @@ class Meta(dict[str, Any]):
 
 
 def _torch(*arrays: object) -> Any:
-    """PyTorch, where one of the arrays is a tensor of it."""
+    """Returns PyTorch if one of the arrays is a tensor, else None."""
     torch = sys.modules.get("torch")
     return torch if torch is not None and any(torch.is_tensor(a) for a in arrays) else None
 
 
 def _checked(torch: Any, name: str, array: Any, shape: tuple[int | None, ...]) -> None:
-    """Refuses anything but a float32 array of this shape on the CPU; `None` stands for any length."""
+    """Raises an error unless `array` is float32, of this shape, and on the CPU; `None` means any length."""
     kind = "a torch tensor" if torch else "a NumPy array"
     if not (torch.is_tensor(array) if torch else isinstance(array, np.ndarray)):
         raise TypeError(f"{name}: expected {kind} as means is, found {type(array).__name__}")
@@ -56,7 +56,7 @@ def _checked(torch: Any, name: str, array: Any, shape: tuple[int | None, ...]) -
 
 
 def _plain(array: Any) -> _Floats:
-    """The array itself, or a contiguous copy."""
+    """Returns the array itself if contiguous, else a copy."""
     return np.ascontiguousarray(array)
 
 
@@ -69,7 +69,7 @@ def _rows(parts: list[list[NDArray[Any]]]) -> NDArray[Any]:
 
 
 def _project(options: tuple[Any, ...], gaussians: _Gaussians, viewmats: _Floats, ks: _Floats) -> tuple[_Views, list[NDArray[Any]]]:
-    """Views [B][C], and their centres, depths, conics, opacities, radii and eyes [B, C, …]."""
+    """Returns views [B][C], and their centres, depths, conics, opacities, radii and eyes [B, C, …]."""
     means, quats, scales, opacities = gaussians
     views = [
         [View(means[b], quats[b], scales[b], opacities[b], _plain(viewmats[b, c]), _plain(ks[b, c]), *options) for c in range(viewmats.shape[1])]
@@ -82,7 +82,7 @@ def _project(options: tuple[Any, ...], gaussians: _Gaussians, viewmats: _Floats,
 def _project_gradients(
     views: _Views, gaussians: _Gaussians, footprints: _Floats, depths: _Floats | None, eyes: _Floats | None
 ) -> list[_Floats]:
-    """Gradients by means, quaternions, scales, opacities and view matrices; a batch's cameras are added in order."""
+    """Computes gradients by means, quaternions, scales, opacities and view matrices; a batch's cameras are added in order."""
     means, quats, scales, opacities = gaussians
     out: list[list[_Floats]] = [[], [], [], [], []]
     for b, row in enumerate(views):
@@ -100,7 +100,7 @@ def _project_gradients(
 
 
 def _draw(views: _Views, colors: _Floats, backgrounds: _Floats | None) -> tuple[_Floats, _Floats]:
-    """Images [B, C, H, W, D] and alphas [B, C, H, W] in colours [B, C, N, D]."""
+    """Draws images [B, C, H, W, D] and alphas [B, C, H, W] in colours [B, C, N, D]."""
     drawn = [
         [view.draw(_plain(colors[b, c]), _NONE if backgrounds is None else _plain(backgrounds[b, c])) for c, view in enumerate(row)]
         for b, row in enumerate(views)
@@ -113,7 +113,7 @@ def _eye(eyes: _Floats, b: int, c: int) -> list[float]:
 
 
 def _harmonics(degree: int, coefficients: _Floats, means: _Floats, eyes: _Floats) -> _Floats:
-    """Colours [B, C, N, 3] of coefficients [B, C, N, K, 3]."""
+    """Computes colours [B, C, N, 3] from coefficients [B, C, N, K, 3]."""
     B, C = eyes.shape[:2]
     return _rows([[harmonics(_plain(coefficients[b, c]), degree, means[b], _eye(eyes, b, c)) for c in range(C)] for b in range(B)])
 
@@ -123,7 +123,7 @@ def _detached(tensor: Any) -> _Floats:
 
 
 class _Project:
-    """-> centres, depths, opacities, eyes, shapes (which hold a gradient and no value), conics, radii."""
+    """-> centres, depths, opacities, eyes, shapes (which carry a gradient but no value), conics, radii."""
 
     @staticmethod
     def forward(
@@ -220,7 +220,7 @@ _functions: Any = None
 
 
 def _autograd(torch: Any) -> Any:
-    """The three differentiable steps as PyTorch's functions, made when it is there."""
+    """Returns the three differentiable steps as PyTorch's functions, created on first use."""
     global _functions
     if _functions is None:
         _functions = [type(step.__name__, (step, torch.autograd.Function), {}) for step in (_Project, _Harmonics, _Draw)]
@@ -228,13 +228,13 @@ def _autograd(torch: Any) -> Any:
 
 
 def _shown(radii: NDArray[np.int32]) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
-    """The Gaussians that are seen: places in the flattened array, and batch, camera and Gaussian of each."""
+    """Returns the visible Gaussians: indices in the flattened array, and batch, camera and Gaussian of each."""
     places = np.flatnonzero(radii[..., 0])
     return places, np.unravel_index(places, radii.shape[:-1])
 
 
 def _drawn(_: Any, batch: tuple[int, ...], options: tuple[Any, ...], arguments: list[Any], degree: int | None, per_camera: bool, mode: str, packed: bool) -> Any:
-    """Images and alphas [B, C, H, W, …], the fields of the projection, and the ids of the Gaussians seen, as NumPy arrays."""
+    """Returns images and alphas [B, C, H, W, …], the fields of the projection, and the ids of the visible Gaussians, as NumPy arrays."""
     means, quats, scales, opacities, colors, viewmats, ks, backgrounds = arguments
     gaussians = _plain(means), _plain(quats), _plain(scales), _plain(opacities)
     views, (centres, depths, conics, drawn, radii, eyes) = _project(options, gaussians, viewmats, ks)
@@ -262,7 +262,7 @@ def _drawn(_: Any, batch: tuple[int, ...], options: tuple[Any, ...], arguments: 
 
 
 def _differentiable(torch: Any, batch: tuple[int, ...], options: tuple[Any, ...], arguments: list[Any], degree: int | None, per_camera: bool, mode: str, packed: bool) -> Any:
-    """As `_drawn`, of tensors with gradients."""
+    """Draws as `_drawn` does, for tensors with gradients."""
     means, quats, scales, opacities, colors, viewmats, ks, backgrounds = arguments
     Project, Harmonics, Draw = _autograd(torch)
     views: _Views = []
@@ -273,7 +273,7 @@ def _differentiable(torch: Any, batch: tuple[int, ...], options: tuple[Any, ...]
         index = torch.from_numpy(places)
         fields = {name: field.reshape(-1, *field.shape[3:]).index_select(0, index) for name, field in fields.items()}
         if centres.requires_grad:
-            # The image follows from the packed centres, so that their gradient is there.
+            # The image is computed from the packed centres, so that they have a gradient.
             centres = torch.zeros_like(centres).reshape(-1, 2).index_copy(0, index, fields["means2d"]).reshape(centres.shape)
     else:
         # As above, with the shape that the caller sees.
@@ -295,7 +295,7 @@ def _differentiable(torch: Any, batch: tuple[int, ...], options: tuple[Any, ...]
 
 
 def _refused(**arguments: tuple[object, object]) -> None:
-    """Refuses arguments that have another value than the one that is supported."""
+    """Raises an error for arguments with a value other than the supported one."""
     for name, (value, only) in arguments.items():
         if value is not only and (only is None or value != only):
             raise NotImplementedError(f"{name}: expected {only}, found {value!r}, which this rasteriser does not support")
@@ -337,9 +337,9 @@ def rasterization(
     rolling_shutter: Any = None,
     viewmats_rs: Any = None,
 ) -> tuple[Any, Any, Meta]:
-    """Images of Gaussians by gsplat 1.5.3's conventions, the same to the last bit on every CPU.
+    """Draws Gaussians by gsplat 1.5.3's conventions, with the same bits on every CPU.
 
-    Arrays are float32, all NumPy's or all PyTorch's on the CPU, which are read where they lie; the results are of the same kind. With PyTorch they have
+    Arrays are float32, all NumPy's or all PyTorch's on the CPU, and are read in place; the results are of the same kind. With PyTorch they have
     gradients by means, quats, scales, opacities, colors, backgrounds and viewmats.
 
     means [..., N, 3], quats [..., N, 4] (w first, of any length), scales [..., N, 3], opacities [..., N]; colors [..., N, D] or [..., C, N, D], or with
@@ -347,7 +347,7 @@ def rasterization(
     backgrounds [..., C, D].
 
     Returns images [..., C, height, width, X], alphas [..., C, height, width, 1] and a dictionary with batch_ids, camera_ids, gaussian_ids, radii, means2d,
-    depths, conics, opacities, width, height, tile_width, tile_height, tile_size, n_batches and n_cameras: of the Gaussians seen if `packed`, else
+    depths, conics, opacities, width, height, tile_width, tile_height, tile_size, n_batches and n_cameras: for the visible Gaussians if `packed`, else
     [..., C, N, …]. X: D, 1 (D, ED) or D + 1. Lists of tiles are absent. `tile_size`, `channel_chunk` and `segmented` change no result.
 
     Raises ValueError and TypeError for arrays that cannot be drawn, NotImplementedError for arguments that are not supported.

@@ -14,24 +14,24 @@
 //!
 //! | key | meaning | default |
 //! |---|---|---|
-//! | `type` | `canonical` (no other key but `time`), `orthographic`, `pinhole` or `equirectangular` (all around; it has a pose alone) | required |
+//! | `type` | `canonical` (no other key except `time`), `orthographic`, `pinhole` or `equirectangular` (all directions; it has only a pose) | required |
 //! | `time` | seconds of the video; required in `views`, strictly increasing | – |
 //! | `units` | `square`: unit of every number below, also when absent |  |
 //! | `position` | the camera's centre in square units (x right, y down, z forward) | `[0, 0, 0]` |
 //! | `rotation` | quaternion (w, x, y, z) that turns the camera's axes (right, down, forward) into scene space | none |
-//! | `look_at`, `up` | instead of `rotation`: the point looked at, and the image's up direction | `up` = `[0, -1, 0]` |
+//! | `look_at`, `up` | instead of `rotation`: the target point, and the image's up direction | `up` = `[0, -1, 0]` |
 //! | `camera_to_world` | instead of `position` and `rotation`: a matrix of 4×4 numbers, row by row, of a rotation and the camera's centre | none |
 //! | `half_extent` | orthographic: units from the centre of the view to its right and lower edge | `[width / height, 1]` of the image |
 //! | `fov_y_degrees`, `aspect` | pinhole: vertical field of view, and width / height | – |
 //! | `focal`, `centre` | pinhole: in image widths and heights | `centre` = `[0.5, 0.5]` |
-//! | `size` | orthographic: width and height of its images, for still scenes where no other size is given | – |
+//! | `size` | orthographic: width and height of its images, for still scenes if no other size is given | – |
 //! | `size`, `fx`, `fy`, `cx`, `cy` | pinhole: in pixels of an image of `size` = [width, height], pixel centres at whole numbers | – |
 //!
-//! A pinhole view has exactly one of the lens's three forms. Unknown keys are errors.
+//! A pinhole view has exactly one of the three forms of the lens. Unknown keys are errors.
 //!
-//! Units are those of exported files: half the height of the picture, along every axis (of a still scene: its own). The
-//! page of `streamsplat view` writes `"units": "square"`; files that it wrote before it did so had x in half widths and
-//! are read as if they had not.
+//! Units are those of exported files: half the height of the picture, along every axis (for a still scene: its own
+//! units). The page of `streamsplat view` writes `"units": "square"`. Earlier versions of the page did not, and had x
+//! in half widths; those files are converted on reading.
 
 use serde::Deserialize;
 
@@ -103,16 +103,16 @@ struct View {
     cy: Option<f64>,
 }
 
-/// Reads a camera or a camera path from its JSON form.
+/// Parses a camera or a camera path.
 ///
 /// # Errors
-/// Text that is not JSON of this form, and views with impossible values, with the view and the key.
+/// Text that is not JSON of this form, and views with invalid values; the error names the view and the key.
 pub fn parse(json: &str) -> Result<CameraPath, CameraError> {
     let form = |[expected, found]: [String; 2]| CameraError::Form(format!("expected {expected}, found {found}"));
     from_value(super::set::json::value(json.as_bytes()).map_err(form)?)
 }
 
-/// As [`parse`], for a parsed text.
+/// Reads a camera file as [`parse`] does, from parsed JSON.
 pub(super) fn from_value(value: serde_json::Value) -> Result<CameraPath, CameraError> {
     let form = |e: serde_json::Error| CameraError::Form(e.to_string());
     if value.get("views").is_none() {
@@ -135,7 +135,7 @@ pub(super) fn from_value(value: serde_json::Value) -> Result<CameraPath, CameraE
     CameraPath::new(path).ok_or_else(|| CameraError::Form("views: expected usable cameras".to_owned()))
 }
 
-/// The pose of a matrix of 4×4 numbers, row by row; `None` unless it is a rotation and a place.
+/// Converts a matrix of 4×4 numbers, row by row, to a pose; `None` unless it is a rotation and a translation.
 fn of_matrix(rows: &[[f64; 4]; 4]) -> Option<Pose> {
     let column = |j: usize| [rows[0][j], rows[1][j], rows[2][j]];
     let rotation = Rotation::from_columns([column(0), column(1), column(2)])?;
@@ -175,7 +175,7 @@ impl View {
                 Camera::Canonical
             }
             Kind::Orthographic => {
-                // The size of its images is taken by whoever draws them.
+                // The caller reads the image size.
                 extra(&pinhole_keys.map(|(key, present)| (key, present && key != "size")))?;
                 let lens = Lens::Orthographic { half_extent: self.half_extent };
                 Camera::Posed { pose: self.pose(index)?, lens }

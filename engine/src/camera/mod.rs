@@ -1,13 +1,15 @@
-//! Cameras: the canonical orthographic one, and any rigid pose, orthographic, pinhole or all around.
+//! Cameras: the canonical orthographic one, and any rigid pose with an orthographic, pinhole or equirectangular lens.
 //!
 //! *Scene space* is what the canonical camera sees (StreamSplat (ICLR 2026), camera and image): x right, y down, z
-//! forward, with x and y in [−1, 1] over the model's input and `z = 1 / (9.8·y_w + 0.2 + 10⁻⁶)` of a Gaussian's
-//! normalised inverse depth `y_w` in [0, 1] (z from 0.1 to 5). Other cameras are rigid poses in *square units*, in
-//! which x and z are multiplied by the input's [aspect](crate::fit::Placement::aspect), as in exported files: a unit is
-//! half the input's height along every axis. The units of a still scene are its own. A camera at the origin with no
-//! rotation looks along +z with +x right and +y down, as the canonical one does.
+//! forward, with x and y in [−1, 1] over the model's input. Depth is `z = 1 / (9.8·y_w + 0.2 + 10⁻⁶)`, from 0.1 to 5,
+//! for a Gaussian's normalised inverse depth `y_w` in [0, 1].
 //!
-//! Lenses are measured in parts of the image, not pixels, so that one camera serves every size:
+//! Other cameras are rigid poses in *square units*, in which x and z are multiplied by the input's
+//! [aspect](crate::fit::Placement::aspect), as in exported files: a unit is half the input's height along every axis.
+//! The units of a still scene are its own. A camera at the origin with no rotation looks along +z with +x right and +y
+//! down, as the canonical one does.
+//!
+//! Lens parameters are fractions of the image, not pixels, so that one camera serves every size:
 //!
 //! ```text
 //! orthographic:  u = (X / (2·e_x) + ½)·W − ½                 e = half extents of the view; [W/H, 1] by default
@@ -15,8 +17,8 @@
 //! all around:    u = (λ/2π + ½)·W − ½   v = (φ/π + ½)·H − ½  longitude λ = atan2(X, Z), latitude φ = asin(Y/√(X² + Y² + Z²))
 //! ```
 //!
-//! with pixel centres at whole numbers. [`mod@file`] describes the JSON form, [`CameraPath`] cameras that move,
-//! [`mod@set`] the files of other programs, [`turn`] cameras around one point.
+//! with pixel centres at integers. [`mod@file`] describes the JSON form, [`CameraPath`] moving cameras, [`mod@set`] the
+//! files of other programs, and [`turn`] cameras around one point.
 
 pub mod file;
 mod path;
@@ -39,9 +41,9 @@ pub enum Camera {
     Canonical,
     /// A camera anywhere in the scene, in square units.
     Posed {
-        /// Where it is and how it is turned.
+        /// Its position and orientation.
         pose: Pose,
-        /// How it projects.
+        /// Its projection.
         lens: Lens,
     },
 }
@@ -51,8 +53,8 @@ pub enum Camera {
 pub enum Lens {
     /// Parallel rays.
     Orthographic {
-        /// Units from the centre of the view to its right and to its lower edge; `None`: 1 to the lower edge, and
-        /// pixels are square.
+        /// Units from the centre of the view to its right and to its lower edge. `None`: 1 to the lower edge, with
+        /// square pixels.
         half_extent: Option<[f64; 2]>,
     },
     /// Rays through one point.
@@ -62,13 +64,15 @@ pub enum Lens {
         /// The principal point in image widths and heights from the upper left corner.
         centre: [f64; 2],
     },
-    /// All around the camera: longitudes across the image, latitudes down, the forward direction in the middle.
+    /// All directions around the camera: longitudes across the image, latitudes down, the forward direction in the
+    /// middle.
     Equirectangular,
 }
 
 impl Camera {
-    /// A pinhole camera with its principal point in the middle and a vertical field of view of `degrees`, for images of
-    /// `aspect` = width / height. `None` when an argument is not positive and finite or the field is 180° or more.
+    /// Returns a pinhole camera with its principal point in the middle and a vertical field of view of `degrees`, for
+    /// images of `aspect` = width / height. `None` if an argument is not positive and finite or the field is 180° or
+    /// more.
     pub fn pinhole(pose: Pose, degrees: f64, aspect: f64) -> Option<Self> {
         let usable = degrees > 0.0 && degrees < 180.0 && aspect > 0.0 && aspect.is_finite();
         usable.then(|| {
@@ -77,7 +81,8 @@ impl Camera {
         })
     }
 
-    /// The orthographic camera that sees one unit up and down: the canonical view without its crop, anywhere.
+    /// Returns the orthographic camera that sees one unit up and down: the canonical view without its crop, at any
+    /// pose.
     pub fn orthographic(pose: Pose) -> Self {
         Camera::Posed { pose, lens: Lens::Orthographic { half_extent: None } }
     }
@@ -99,7 +104,7 @@ impl Camera {
     }
 }
 
-/// `tan(degrees / 2)` for an angle in (0°, 180°), the same on every machine.
+/// Returns `tan(degrees / 2)` for an angle in (0°, 180°), with the same bits on every machine.
 pub(crate) fn half_angle_tangent(degrees: f64) -> f64 {
     let (sin, cos) = sin_cos(degrees * (std::f64::consts::PI / 360.0));
     sin / cos

@@ -1,12 +1,12 @@
-//! Cameras that move: views at their times, interpolated in between.
+//! Moving cameras: views at given times, interpolated in between.
 
 use super::{Camera, Lens};
 
 /// Views at increasing times, in seconds of the video.
 ///
-/// Between two views of the same kind position, lens and (on the shorter way) orientation are interpolated linearly;
-/// between different kinds (also with and without half extents) the earlier one holds. Before the first and after the
-/// last view those hold.
+/// Between two views of the same kind, position, lens and orientation (on the shorter way) are interpolated linearly.
+/// Between views of different kinds (also with and without half extents), the earlier one is used. Before the first
+/// view the first is used, after the last view the last.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraPath {
     views: Vec<(f64, Camera)>,
@@ -19,14 +19,14 @@ impl Default for CameraPath {
 }
 
 impl From<Camera> for CameraPath {
-    /// The camera that stays.
+    /// Returns the path of a camera at rest.
     fn from(camera: Camera) -> Self {
         Self { views: vec![(0.0, camera)] }
     }
 }
 
 impl CameraPath {
-    /// A path through `views`. `None` when there is none, a time is not finite or not after the one before, or a camera
+    /// Returns a path through `views`. `None` if there are no views, times are not finite and increasing, or a camera
     /// is not usable.
     pub fn new(views: Vec<(f64, Camera)>) -> Option<Self> {
         let usable = !views.is_empty()
@@ -35,19 +35,19 @@ impl CameraPath {
         usable.then_some(Self { views })
     }
 
-    /// The views it goes through.
+    /// Returns its views.
     pub fn views(&self) -> &[(f64, Camera)] {
         &self.views
     }
 
-    /// The camera at `time`.
+    /// Returns the camera at `time`.
     pub fn at(&self, time: f64) -> Camera {
         let after = self.views.partition_point(|(t, _)| *t <= time);
         let Some(&(start, before)) = after.checked_sub(1).and_then(|i| self.views.get(i)) else {
             return self.views[0].1;
         };
         let Some(&(end, next)) = self.views.get(after) else { return before };
-        // Halves, so that the span of any two finite times is finite.
+        // Halved, so that the difference of any two finite times is finite.
         let t = (0.5 * time - 0.5 * start) / (0.5 * end - 0.5 * start);
         between(before, next, t)
     }

@@ -1,6 +1,6 @@
 //! Rigid poses in scene space.
 
-/// How far the rows of a rotation may be from orthonormal.
+/// Maximum deviation of a rotation's rows from orthonormal ones.
 const ORTHONORMAL: f64 = 1e-3;
 
 /// A rotation as a unit quaternion (w, x, y, z). Always normalised.
@@ -17,7 +17,7 @@ impl Rotation {
     /// No rotation.
     pub const IDENTITY: Rotation = Rotation([1.0, 0.0, 0.0, 0.0]);
 
-    /// The rotation of a quaternion (w, x, y, z) of any length. `None` when it is zero or not finite.
+    /// Returns the rotation of a quaternion (w, x, y, z) of any length; `None` if it is zero or not finite.
     pub fn from_quaternion(q: [f64; 4]) -> Option<Self> {
         let largest = q.iter().fold(0.0, |m: f64, c| m.max(c.abs()));
         if !(q.iter().all(|c| c.is_finite()) && largest > 0.0) {
@@ -38,7 +38,8 @@ impl Rotation {
         if !products.iter().all(|p| p.abs() < ORTHONORMAL) {
             return None;
         }
-        // Twice each quaternion component squared; the largest is computed by the root, the rest by division.
+        // Four times each squared component of the quaternion. The largest component is computed by the root, the rest
+        // by division.
         let squares =
             [1.0 + x[0] + y[1] + z[2], 1.0 + x[0] - y[1] - z[2], 1.0 - x[0] + y[1] - z[2], 1.0 - x[0] - y[1] + z[2]];
         let largest = (1..4).fold(0, |best, i| if squares[i] > squares[best] { i } else { best });
@@ -51,12 +52,12 @@ impl Rotation {
         })
     }
 
-    /// The quaternion (w, x, y, z), of length 1.
+    /// Returns the quaternion (w, x, y, z), of length 1.
     pub fn quaternion(&self) -> [f64; 4] {
         self.0
     }
 
-    /// The opposite rotation.
+    /// Returns the opposite rotation.
     pub fn inverse(&self) -> Self {
         let [w, x, y, z] = self.0;
         Self([w, -x, -y, -z])
@@ -67,7 +68,7 @@ impl Rotation {
         self.0[1..] == [0.0; 3]
     }
 
-    /// The rotation's matrix, row by row.
+    /// Returns the rotation's matrix, row by row.
     pub fn matrix(&self) -> [[f64; 3]; 3] {
         let [w, x, y, z] = self.0;
         [
@@ -77,28 +78,30 @@ impl Rotation {
         ]
     }
 
-    /// Between this rotation (`t` = 0) and another (`t` = 1) on the shorter way: normalised linear interpolation.
+    /// Interpolates between this rotation (`t` = 0) and another (`t` = 1) on the shorter way: normalised linear
+    /// interpolation.
     pub fn towards(&self, other: &Self, t: f64) -> Self {
         let dot: f64 = self.0.iter().zip(&other.0).map(|(a, b)| a * b).sum();
         let sign = if dot < 0.0 { -1.0 } else { 1.0 };
         let mixed = std::array::from_fn(|i| self.0[i] * (1.0 - t) + sign * other.0[i] * t);
-        // Opposite quaternions, the only ones that cancel, are the same rotation; the sign keeps them from meeting.
+        // The sum vanishes only for opposite quaternions. They are the same rotation, and the choice of sign avoids the
+        // case.
         Self::from_quaternion(mixed).unwrap_or(*self)
     }
 }
 
-/// A camera's place and orientation in scene space (x right, y down, z forward).
+/// A camera's position and orientation in scene space (x right, y down, z forward).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose {
     /// The camera's centre.
     pub position: [f64; 3],
-    /// Turns the camera's axes (right, down, forward) into scene space.
+    /// The rotation from the camera's axes (right, down, forward) to scene space.
     pub rotation: Rotation,
 }
 
 impl Pose {
-    /// A camera at `eye` looking at `target`, with `up` upwards in its image (scene space: up is −y). `None` when the
-    /// two points coincide, `up` points along the view, or a number is not finite.
+    /// Returns a camera at `eye` that looks at `target`, with `up` upwards in its image (scene space: up is −y). `None`
+    /// if the two points coincide, `up` is parallel to the view, or a number is not finite.
     pub fn look_at(eye: [f64; 3], target: [f64; 3], up: [f64; 3]) -> Option<Self> {
         let forward = unit(std::array::from_fn(|i| target[i] - eye[i]))?;
         let right = unit(cross(forward, up))?;
@@ -106,7 +109,7 @@ impl Pose {
         Some(Self { position: eye, rotation: Rotation::from_columns([right, down, forward])? })
     }
 
-    /// Between this pose (`t` = 0) and another (`t` = 1).
+    /// Interpolates between this pose (`t` = 0) and another (`t` = 1).
     pub fn towards(&self, other: &Self, t: f64) -> Self {
         Self {
             position: std::array::from_fn(|i| self.position[i] * (1.0 - t) + other.position[i] * t),

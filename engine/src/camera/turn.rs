@@ -1,8 +1,8 @@
-//! Cameras around one point: turns in time, and the two views of a pair of eyes.
+//! Cameras around one point: turns over time, and the two views of a pair of eyes.
 //!
-//! The point, the *pivot*, stays where it is in the image. For a scene in time it is the middle of the source's picture
-//! at the median depth of the Gaussians that are seen at one instant ([`pivot`]). The source's own view is turned with
-//! parallel rays, so that at an angle of 0 it is [`Camera::Canonical`] itself.
+//! This point, the *pivot*, does not move in the image. For a scene in time it is the middle of the source's picture at
+//! the median depth of the Gaussians visible at one time ([`pivot`]). The source's own view is turned with parallel
+//! rays, so that at an angle of 0 it is [`Camera::Canonical`] itself.
 
 use streamsplat_kernels::math::f64::sin_cos;
 
@@ -11,8 +11,8 @@ use crate::fit::Placement;
 use crate::render::{RenderError, Snapshot, to_scene};
 use crate::stream::{Interval, Workers};
 
-/// Distance of a turned camera from the pivot in half widths of the model's input: depths end at 5, so that everything
-/// lies in front of it.
+/// Distance of a turned camera from the pivot in half widths of the model's input: depths end at 5, so everything is in
+/// front of it.
 const DISTANCE: f64 = 12.0;
 
 /// Position of a camera around the pivot, in degrees.
@@ -24,24 +24,24 @@ pub struct Angles {
     pub up: f64,
 }
 
-/// How a camera moves around the pivot while time runs on.
+/// Motion of a camera around the pivot over time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Turn {
-    /// From half of `degrees` on the left to as far on the right in `seconds`, then back in the same time, and so on.
+    /// From half of `degrees` on the left to half on the right in `seconds`, then back in the same time, repeatedly.
     Orbit {
         /// The whole angle.
         degrees: f64,
         /// Time from one end to the other.
         seconds: f64,
     },
-    /// A circle around the source's own view, `degrees` away from it, once in `seconds`. It starts above.
+    /// A circle around the source's own view, `degrees` away from it, once in `seconds`. It starts at the top.
     Sway {
         /// Angle between the circle and the middle.
         degrees: f64,
         /// Time of one circle.
         seconds: f64,
     },
-    /// Once around in `seconds`, starting at the source's own view.
+    /// One full turn in `seconds`, starting at the source's own view.
     Around {
         /// Time of one turn.
         seconds: f64,
@@ -49,9 +49,9 @@ pub enum Turn {
 }
 
 impl Turn {
-    /// Position of the camera after `time` seconds.
+    /// Returns the position of the camera after `time` seconds.
     pub fn at(self, time: f64) -> Angles {
-        // From 0 to 1 and over again.
+        // From 0 to 1, repeatedly.
         let phase = |seconds: f64| (time / seconds).rem_euclid(1.0);
         match self {
             Turn::Orbit { degrees, seconds } => {
@@ -67,8 +67,9 @@ impl Turn {
     }
 }
 
-/// The middle of the source's picture in square units, at the median depth of the Gaussians that are seen at `time`: of
-/// an even number the farther of the two in the middle. Where none is seen, at an inverse depth of one half.
+/// Returns the middle of the source's picture in square units, at the median depth of the Gaussians visible at `time`.
+/// For an even number it is the farther of the two middle ones; if none is visible, the depth is that of inverse depth
+/// ½.
 ///
 /// # Errors
 /// As [`Interval::render`].
@@ -81,7 +82,7 @@ pub fn pivot(interval: &Interval, time: f64, workers: &Workers) -> Result<[f64; 
     Ok([x, y, depth])
 }
 
-/// The source's own view, turned around `pivot` (in square units).
+/// Returns the source's own view, turned around `pivot` (in square units).
 pub fn turned(placement: &Placement, pivot: [f64; 3], angles: Angles) -> Camera {
     if angles == Angles::default() {
         return Camera::Canonical;
@@ -97,7 +98,7 @@ pub fn turned(placement: &Placement, pivot: [f64; 3], angles: Angles) -> Camera 
     Camera::Posed { pose: Pose { position, rotation }, lens }
 }
 
-/// A turned view that shows `part` of the sides of the source's picture, around its middle.
+/// Crops a turned view to `part` of the sides of the source's picture, around its middle.
 pub fn cropped(camera: &Camera, placement: &Placement, pivot: [f64; 3], part: f64) -> Camera {
     let half_extent = Some(extent(placement).1.map(|half| part * half));
     let pose = match *camera {
@@ -107,17 +108,18 @@ pub fn cropped(camera: &Camera, placement: &Placement, pivot: [f64; 3], part: f6
     Camera::Posed { pose, lens: Lens::Orthographic { half_extent } }
 }
 
-/// Where the source's own view has its camera, in front of `pivot`.
+/// Returns the pose of the source's own view, in front of `pivot`.
 fn own_pose(placement: &Placement, [x, y, z]: [f64; 3]) -> Pose {
     Pose { position: [x, y, z - DISTANCE * placement.aspect()], rotation: Rotation::IDENTITY }
 }
 
-/// The views of a left and a right eye in place of `camera`, `apart` times as far from each other as they are from the
-/// plane through `pivot` that the camera faces. Points in that plane are at the same place in both images.
+/// Returns the views of a left and a right eye that replace `camera`. The distance between the eyes is `apart` times
+/// their distance from the plane through `pivot` that the camera faces. Points in that plane have the same position in
+/// both images.
 ///
-/// Parallel rays are turned by half of the angle between the eyes; a pinhole moves sideways, and its principal point
-/// with it, so that nothing is shifted up or down. `None` where `pivot` is not in front of the camera, for images all
-/// around, and for [`Camera::Canonical`] without a `placement`.
+/// Parallel rays are turned by half the angle between the eyes. A pinhole moves sideways together with its principal
+/// point, so that there is no vertical shift. `None` if `pivot` is not in front of the camera, for equirectangular
+/// images, and for [`Camera::Canonical`] without a `placement`.
 pub fn eyes(camera: &Camera, placement: Option<&Placement>, pivot: [f64; 3], apart: f64) -> Option<[Camera; 2]> {
     let (pose, lens) = match *camera {
         Camera::Canonical => {
@@ -144,7 +146,7 @@ pub fn eyes(camera: &Camera, placement: Option<&Placement>, pivot: [f64; 3], apa
                 let rotation = Rotation::from_columns([across, down, along])?;
                 Camera::Posed { pose: Pose { position, rotation }, lens }
             }
-            // Two places show nothing right all around.
+            // Two fixed positions do not fit all directions.
             Lens::Equirectangular => return None,
             Lens::Pinhole { focal, centre } => {
                 let position = std::array::from_fn(|i| pose.position[i] + side * half * distance * right[i]);
@@ -156,7 +158,7 @@ pub fn eyes(camera: &Camera, placement: Option<&Placement>, pivot: [f64; 3], apa
     Some([eye(-1.0)?, eye(1.0)?])
 }
 
-/// Middle and half extents of the source's picture in square units.
+/// Returns middle and half extents of the source's picture in square units.
 fn extent(placement: &Placement) -> ([f64; 2], [f64; 2]) {
     let [rows, columns] = placement.content.map(|side| side as f64);
     let [height, width] = placement.model.map(|side| side.max(1) as f64);
@@ -173,7 +175,7 @@ mod tests {
     const PLACEMENT: Placement = Placement { source: [9, 16], model: [20, 32], offset: [1, 0], content: [18, 32] };
     const PIVOT: [f64; 3] = [0.0, 0.0, 0.6];
 
-    /// Where a camera shows a point, from the middle of the image, in image widths and heights.
+    /// Returns the image position of a point, relative to the middle of the image, in image widths and heights.
     fn seen(camera: &Camera, point: [f64; 3]) -> [f64; 2] {
         let Camera::Posed { pose, lens } = *camera else { panic!("posed") };
         let d: [f64; 3] = std::array::from_fn(|i| point[i] - pose.position[i]);
@@ -225,7 +227,7 @@ mod tests {
         assert!((behind[0] - moved / 1.6).abs() < 1e-9 && behind[1].abs() < 1e-12, "{behind:?}");
         let above = turned(&PLACEMENT, PIVOT, Angles { right: 0.0, up: 10.0 });
         let behind = seen(&above, [0.0, 0.0, 1.6]);
-        // From above, farther points are higher in the image, which is 18 of the model's 20 rows high.
+        // From above, farther points are higher in the image, whose content is 18 of the model's 20 rows high.
         assert!((behind[1] + moved / 0.9).abs() < 1e-9 && behind[0].abs() < 1e-12, "{behind:?}");
     }
 

@@ -2,15 +2,15 @@
 //!
 //! A channel is depth by its name (`Z`, `depth`, …), or by that of its layer or part (`depth.R`, `ViewLayer.Depth.Z`,
 //! `Z` of the part `depth`). A `Z` is not depth if it is a component of a vector (with `X` or `W`), or in the layer
-//! `Mist`. If no name matches, depth is the only channel of the file (if that is not alpha), its luminance `Y`, or its
-//! red channel if red, green and blue are equal. Several matching names are an error.
+//! `Mist`. If no name matches, depth is the file's only channel (unless that is alpha), its luminance `Y`, or its red
+//! channel if red, green and blue are equal. Several matching names are an error.
 
 use super::Map;
 use crate::openexr::{File, Part};
 
 /// Names of depth, in lower case.
 const DEPTH: [&str; 8] = ["depth", "z", "zdepth", "z_depth", "inverse_depth", "inv_depth", "disparity", "linear_depth"];
-/// Most names that a message lists.
+/// Maximum number of names that a message lists.
 const LISTED: usize = 12;
 
 /// A channel at full resolution.
@@ -21,7 +21,7 @@ struct Channel<'a> {
 }
 
 impl Channel<'_> {
-    /// The layer in front of the name, else the part's name; and the name itself, in lower case.
+    /// Returns the layer in front of the name, else the part's name; and the name itself, in lower case.
     fn layer_and_name(&self) -> (String, String) {
         let (layer, name) = match self.name.rsplit_once('.') {
             Some((layer, name)) => (layer.rsplit('.').next().unwrap_or(layer).to_owned(), name),
@@ -30,13 +30,13 @@ impl Channel<'_> {
         (layer.to_ascii_lowercase(), name.to_ascii_lowercase())
     }
 
-    /// Layer prefix of the full name, with its trailing point; empty if there is none.
+    /// Returns the layer prefix of the full name, with its trailing dot; empty if there is none.
     fn prefix(&self) -> &str {
         self.name.rfind('.').map_or("", |point| &self.name[..=point])
     }
 }
 
-/// Samples outside of the data window were not measured.
+/// Reads the depth channel. Samples outside of the data window count as not measured.
 pub(super) fn read(bytes: &[u8]) -> Result<Map, String> {
     let file = File::open(bytes).map_err(|e| e.to_string())?;
     let mut channels = Vec::new();
@@ -111,7 +111,7 @@ mod tests {
     use super::*;
     use crate::openexr::{NamedLayer, Planes, write_layers};
 
-    /// The depth of a file of parts, each with channels of one value.
+    /// Reads the depth of a file of parts, each with channels of one value.
     fn depth(parts: &[(&str, &[(&str, f32)])]) -> Result<f32, String> {
         let channels = |channels: &[(&str, f32)]| {
             channels.iter().map(|(name, value)| (name.to_string(), vec![*value; 2])).collect::<Vec<_>>()

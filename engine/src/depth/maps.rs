@@ -1,16 +1,16 @@
 //! Depth maps from files, one for each frame.
 //!
-//! A map holds *inverse* depth (larger is nearer) in any scale, or depth itself ([`Values::Depth`]), which is inverted;
-//! there values that are not above zero, not finite or no numbers were not measured and become NaN. Files are EXR (the
-//! channel of depth by its name), PNG of 8 or 16 bits grey, TIFF of one sample a pixel, whole or float, or NPY (any
-//! plain number; `[H,W]` with any axes of length 1; either order). Numbers are taken as they are stored. A map of
-//! another size than its frame is brought to the frame's size bilinearly (half-pixel centres).
+//! A map holds *inverse* depth (larger is nearer) in any scale, or depth itself ([`Values::Depth`]), which is inverted.
+//! Depth values that are not above zero, not finite or NaN were not measured and become NaN. Files are EXR (the depth
+//! channel, by name), PNG of 8 or 16 bits grey, TIFF of one integer or float sample per pixel, or NPY (any plain
+//! number; `[H,W]` with any axes of length 1; either order). Samples are read as they are stored. A map whose size
+//! differs from its frame's is resized bilinearly (half-pixel centres).
 //!
 //! If files of several kinds share names, such as maps and their previews, one kind is read: the first of NPY, EXR,
 //! TIFF and PNG that exists for every name. Maps are matched to frames by name if every frame is a file with a map of
-//! the same name (extensions aside), else by natural order. [`Range::Clip`] normalises all maps of the folder by the
-//! smallest and the largest value found in any of them, [`Range::Every`] by those of the key frames' maps; with
-//! [`Range::Frame`] the maps stay as they are and the engine normalises each by its own.
+//! the same name (extensions aside), else by natural order. [`Range::Clip`] normalises all maps by the smallest and
+//! largest value of the whole folder, [`Range::Every`] by those of the key frames' maps. With [`Range::Frame`], the
+//! engine normalises each map by its own range.
 
 use std::path::{Path, PathBuf};
 
@@ -22,34 +22,34 @@ use crate::source::{decode, folder};
 
 /// File name endings taken as depth maps.
 pub const EXTENSIONS: [&str; 5] = ["exr", "png", "npy", "tif", "tiff"];
-/// Kinds of files in the order in which they are taken where several have the same names.
+/// Kinds of files in order of preference if several share names.
 const KINDS: [&[&str]; 4] = [&["npy"], &["exr"], &["tif", "tiff"], &["png"]];
 
-/// Range by which the values of a map are normalised.
+/// Range used to normalise the values of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Range {
-    /// Each map by its own smallest and largest value (done by the engine).
+    /// Each map's own smallest and largest value (done by the engine).
     #[default]
     Frame,
-    /// All by the smallest and the largest value of the whole folder.
+    /// The smallest and largest value of the whole folder, for all maps.
     Clip,
-    /// All by the smallest and the largest value of the maps of every n-th frame and of the last one: the key frames
-    /// with a gap of n. 0 is 1.
+    /// The smallest and largest value of the maps of every n-th frame and of the last one, for all maps. These are the
+    /// key frames with a gap of n. 0 is 1.
     Every(usize),
 }
 
-/// Kind of the values that files hold.
+/// Kind of the values in the files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Values {
     /// Inverse depth.
     #[default]
     Inverse,
-    /// Depth in any unit; values not above zero, or not finite, were not measured.
+    /// Depth in any unit; values that are not above zero, or not finite, were not measured.
     Depth,
 }
 
 impl Values {
-    /// Inverse depth of a value.
+    /// Converts a value to inverse depth.
     fn inverse(self, value: f32) -> f32 {
         match self {
             Values::Inverse => value,
@@ -76,24 +76,24 @@ pub struct DepthMaps {
     folder: PathBuf,
     files: Vec<PathBuf>,
     kind: Values,
-    /// Smallest and largest value of the maps that decide the range; `None` with [`Range::Frame`].
+    /// Smallest and largest value of the maps that determine the range; `None` with [`Range::Frame`].
     range: Option<(f32, f32)>,
-    /// Files that are left out, a line.
+    /// Note on the files that are left out.
     notes: Vec<String>,
 }
 
 impl DepthMaps {
-    /// Lists the maps of `folder` and pairs them with `frames` where the frames are files. With [`Range::Clip`] and
-    /// [`Range::Every`] the maps that decide the range are read once to find it.
+    /// Lists the maps of `folder` and pairs them with `frames` if the frames are files. With [`Range::Clip`] and
+    /// [`Range::Every`], the maps that determine the range are read once.
     ///
     /// # Errors
-    /// An unreadable or empty folder, files of several kinds with none that has every name, another number of maps than
-    /// of frames, an unreadable map where all are read.
+    /// An unreadable or empty folder; files of several kinds with none that has every name; a number of maps other than
+    /// that of the frames; an unreadable map among those that determine the range.
     pub fn open(folder: &Path, frames: Option<&[PathBuf]>, range: Range) -> Result<DepthMaps, DepthError> {
         Self::open_as(folder, frames, range, Values::Inverse)
     }
 
-    /// [`DepthMaps::open`] where the files hold values of this kind.
+    /// Opens a folder as [`DepthMaps::open`] does, for files with this kind of values.
     ///
     /// # Errors
     /// As there.
@@ -153,13 +153,12 @@ impl DepthMaps {
         Ok(maps)
     }
 
-    /// Files that are left out, a line.
+    /// Returns a note on the files that are left out.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// Checks that there is a map for every frame that is read, and no others: as many maps as frames, or as the
-    /// `limit` of them.
+    /// Checks that the number of maps is that of the frames, or of the first `limit` of them.
     ///
     /// # Errors
     /// Another number of maps.
@@ -172,7 +171,8 @@ impl DepthMaps {
         Err(DepthError::Count { folder: self.folder.clone(), expected, found })
     }
 
-    /// As [`DepthMaps::check`] where the number of frames is an estimate: a few more or fewer may be right.
+    /// Checks as [`DepthMaps::check`] does if the number of frames is an estimate: a few more or fewer maps are
+    /// accepted.
     ///
     /// # Errors
     /// A number of maps that cannot be that of the frames.
@@ -183,19 +183,19 @@ impl DepthMaps {
         }
     }
 
-    /// The inverse depth of frame `index` at the frame's size, NaN where it was not measured; with [`Range::Clip`]
-    /// normalised to `[0, 1]`, as are with [`Range::Every`] the maps that decide the range, while others may lie
-    /// outside.
+    /// Returns the inverse depth of frame `index` at the frame's size, NaN where it was not measured. With
+    /// [`Range::Clip`] it is normalised to `[0, 1]`. With [`Range::Every`] only the maps that determine the range are
+    /// certain to be within it.
     ///
     /// # Errors
-    /// No such map, or an unreadable one.
+    /// A missing or unreadable map.
     pub fn map(&self, index: usize, width: usize, height: usize) -> Result<Vec<f32>, DepthError> {
         let missing = || DepthError::Missing { folder: self.folder.clone(), frame: index, found: self.files.len() };
         let mut map = measured(self.files.get(index).ok_or_else(missing)?, self.kind)?;
         map.values.iter_mut().for_each(|v| *v = self.kind.inverse(*v));
         if let Some((least, most)) = self.range {
             let span = most - least;
-            // A constant clip becomes 0, as a constant map does.
+            // A constant clip becomes 0, like a constant map.
             map.values.iter_mut().for_each(|v| *v = if span > 0.0 { (*v - least) / span } else { 0.0 });
         }
         if (map.width, map.height) == (width, height) {
@@ -213,14 +213,14 @@ impl DepthMaps {
     }
 }
 
-/// Returns true if a map has a frame's width and height interchanged, in proportion.
+/// Returns true if a map has the proportions of its frame with width and height interchanged.
 fn is_turned([wide, high]: [usize; 2], [width, height]: [usize; 2]) -> bool {
     let (map, frame) = (wide as f64 / high as f64, width as f64 / height as f64);
     let clear = frame.max(1.0 / frame) > 1.2;
     clear && (map * frame - 1.0).abs() < 0.05
 }
 
-/// The files of one kind, where files of several have the same names; and the files left out.
+/// Selects the files of one kind if files of several share names; also returns the files left out.
 fn of_one_kind(folder: &Path, files: Vec<PathBuf>) -> Result<(Vec<PathBuf>, Vec<String>), DepthError> {
     let mut names: Vec<_> = files.iter().map(|file| file.file_stem()).collect();
     names.sort_unstable();
@@ -244,7 +244,7 @@ fn of_one_kind(folder: &Path, files: Vec<PathBuf>) -> Result<(Vec<PathBuf>, Vec<
     Ok((taken, vec![line]))
 }
 
-/// Reads one map, whose values may be no numbers where they were not measured.
+/// Reads one map; values may be NaN where they were not measured.
 ///
 /// # Errors
 /// Unreadable, broken, oversized or many-channelled files.
@@ -255,7 +255,7 @@ pub fn read_map(path: &Path) -> Result<Map, DepthError> {
 /// Reads a map held in memory; `path` marks an NPY file and is used in messages.
 ///
 /// # Errors
-/// As [`read_map`], but for the reading.
+/// Those of [`read_map`], except errors of reading the file.
 pub fn decode_map(bytes: &[u8], path: &Path) -> Result<Map, DepthError> {
     let wrong = |cause: String| DepthError::Map { path: path.to_owned(), cause };
     if folder::ends_in(path, &["npy"]) {
@@ -427,7 +427,7 @@ mod tests {
             let error = maps.check(frames, limit).expect_err("another number").to_string();
             assert!(error.contains("one for each frame, found 2"), "{error}");
         }
-        // By name as well.
+        // Matched by name, too.
         let frames = [PathBuf::from("x/2.jpg")];
         let maps = DepthMaps::open(folder.path(), Some(&frames), Range::Frame).expect("one map");
         assert_eq!(maps.map(0, 2, 1).expect("readable"), [1.0, 2.0]);

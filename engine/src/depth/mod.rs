@@ -1,7 +1,6 @@
 //! Inverse depth of frames: from files ([`DepthMaps`]) or from a network (`DepthNetwork`, with the feature `onnx`).
 //!
-//! Either way a map has one value for each pixel of its frame, larger is nearer, in any scale: the engine normalises
-//! it.
+//! In both cases a map has one value per pixel of its frame, larger is nearer, in any scale: the engine normalises it.
 
 mod exr;
 mod maps;
@@ -23,7 +22,7 @@ pub use options::{NetworkOptions, NetworkSize, WrongOption};
 use crate::onnx::OnnxError;
 use crate::source::SourceError;
 
-/// Errors of a map, its folder, or the network that makes it.
+/// Errors of a map, its folder, or its network.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DepthError {
@@ -31,7 +30,7 @@ pub enum DepthError {
     #[cfg(feature = "onnx")]
     #[error(transparent)]
     Onnx(#[from] OnnxError),
-    /// The depth network's input would be larger than this program makes it.
+    /// The depth network's input would exceed this program's limit.
     #[error("{}: a frame of {}×{} would make the network's input {}×{}, larger than this program makes it; give its size",
         path.display(), frame[1], frame[0], input[1], input[0])]
     Input {
@@ -45,17 +44,17 @@ pub enum DepthError {
     /// The folder or a file cannot be read.
     #[error(transparent)]
     Read(#[from] SourceError),
-    /// No map in the folder.
+    /// A folder without maps.
     #[error("{}: the folder holds no depth map (expected files ending in {})", .0.display(), EXTENSIONS.join(", "))]
     Empty(PathBuf),
-    /// Not as many maps as frames.
+    /// A number of maps other than that of the frames.
     #[error("{}: expected {expected} depth maps, one for each frame, found {found}", folder.display())]
     Count {
         /// The folder of maps.
         folder: PathBuf,
-        /// Frames.
+        /// Number of frames.
         expected: usize,
-        /// Maps.
+        /// Number of maps.
         found: usize,
     },
     /// Files of several kinds with the same names; no kind has every name.
@@ -63,7 +62,7 @@ pub enum DepthError {
     Kinds {
         /// The folder of maps.
         folder: PathBuf,
-        /// Different names.
+        /// Number of different names.
         names: usize,
         /// Files of each kind.
         found: String,
@@ -75,10 +74,10 @@ pub enum DepthError {
         folder: PathBuf,
         /// The frame's index.
         frame: usize,
-        /// Maps.
+        /// Number of maps.
         found: usize,
     },
-    /// A file that is no depth map.
+    /// A file that is not a depth map.
     #[error("{}: {cause}", path.display())]
     Map {
         /// The file.

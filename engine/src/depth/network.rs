@@ -7,7 +7,7 @@
 //! - Output: float `[1, height, width]` of any size, with any number of leading axes of length 1, or one trailing.
 //!
 //! The map is inverse depth, or depth with [`NetworkOptions::metric`]. [`crate::onnx`] describes which arithmetic is
-//! ONNX Runtime's and which is this crate's.
+//! done by ONNX Runtime and which by this crate.
 
 use std::path::Path;
 
@@ -31,8 +31,8 @@ impl DepthNetwork {
     /// Loads the network in the ONNX file `path`; pictures are prepared on `workers`.
     ///
     /// # Errors
-    /// No ONNX Runtime, or one that cannot be used; a file that is no network, or none with one image in and one map
-    /// out.
+    /// A missing or unusable ONNX Runtime; a file that is not a network, or not one with an image input and a map
+    /// output.
     pub fn open(path: &Path, options: NetworkOptions, workers: &Workers) -> Result<DepthNetwork, DepthError> {
         let model = Model::open(path)?;
         let form = |what: &str, expected: String, found: String| OnnxError::Form {
@@ -62,18 +62,18 @@ impl DepthNetwork {
         Ok(DepthNetwork { model, options, workers: workers.clone(), layout, output })
     }
 
-    /// The version of the ONNX Runtime that runs it.
+    /// Returns the version of the ONNX Runtime in use.
     pub fn runtime_version(&self) -> &str {
         self.model.runtime().version()
     }
 
-    /// Inverse depth of a frame of `[3, height, width]` samples in [0, 1]: `height · width` values.
+    /// Computes the inverse depth of a frame of `[3, height, width]` samples in [0, 1]: `height · width` values.
     ///
     /// # Errors
-    /// An input that would be too large, the runtime's errors, an answer that is no map.
+    /// An input above the size limit, the runtime's errors, a result that is not a map.
     ///
     /// # Panics
-    /// When `rgb` does not hold three planes of that size, or a side is zero.
+    /// If `rgb` does not hold three planes of that size, or a side is zero.
     pub fn map(&mut self, rgb: &[f32], width: usize, height: usize) -> Result<Vec<f32>, DepthError> {
         let frame = [height, width];
         let size = prepare::input_size(frame, self.layout.sides, &self.options);
@@ -111,7 +111,7 @@ impl DepthNetwork {
     }
 }
 
-/// The number of the output that is the map.
+/// Returns the index of the output that is the map.
 fn map_output(model: &Model, asked: Option<&str>) -> Result<usize, OnnxError> {
     let wrong = |what: String, expected: &str, found: String| OnnxError::Form {
         path: model.path().to_owned(),
@@ -129,7 +129,7 @@ fn map_output(model: &Model, asked: Option<&str>) -> Result<usize, OnnxError> {
     };
     let number = number.ok_or_else(|| wrong("its outputs".to_owned(), asked.unwrap_or("an output"), names(outputs)))?;
     let output = &outputs[number];
-    // A shape that is unknown before it runs has no axes.
+    // A shape that is unknown before the network runs has no axes.
     let is_map = output.axes.as_deref().is_some_and(|axes| {
         let ones = |axes: &[Option<usize>]| axes.iter().all(|n| matches!(n, Some(1) | None));
         let last = |behind: usize| axes.len() >= 2 + behind && ones(&axes[..axes.len() - 2 - behind]);

@@ -3,7 +3,7 @@
 use super::Map;
 use crate::picture::size_is_allowed;
 
-/// Reads a two-dimensional array (leading and trailing axes of length 1 are dropped), of any element type and order.
+/// Reads a two-dimensional array of any element type and order; leading and trailing axes of length 1 are dropped.
 ///
 /// # Errors
 /// Expected and found values.
@@ -68,8 +68,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<Map, String> {
     Ok(Map { width, height, values })
 }
 
-/// The two axes of a plane. Of three and more the first or the last may be 1; where both sides of an array are, as in
-/// `[1, 1, W]`, those behind count.
+/// Returns height and width of a plane. If there are more axes, leading axes of length 1 are dropped first, then
+/// trailing ones, until two remain: `[1, 1, W]` has height 1 and width W.
 fn plane(shape: &[usize]) -> Option<(usize, usize)> {
     match shape {
         [h, w] => Some((*h, *w)),
@@ -136,7 +136,7 @@ pub(super) mod tests {
         assert!(read(&encode("<f4", "(2, 3, 2)", &[0.0; 12])).is_err());
     }
 
-    /// A file with these bytes.
+    /// Builds a file with these bytes.
     fn file(kind: &str, fortran: &str, data: &[u8]) -> Vec<u8> {
         let mut bytes = encode(kind, "(2, 3)", &[]);
         bytes = String::from_utf8_lossy(&bytes[10..]).replace("False", fortran).into_bytes();

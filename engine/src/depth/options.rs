@@ -1,30 +1,30 @@
-//! Options that a depth network's file does not hold.
+//! Options of a depth network that its file does not contain.
 
 use std::str::FromStr;
 
-/// Preparation of a network's pictures. The default is that of Depth Anything and its like: the shorter side 518 pixels
-/// where the network leaves it open, sides in multiples of 14, ImageNet's mean and standard deviation, inverse depth
-/// out.
+/// Preparation of a network's pictures. The default is that of Depth Anything and similar networks: a shorter side of
+/// 518 pixels if the network leaves it open, sides in multiples of 14, ImageNet's mean and standard deviation, inverse
+/// depth out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetworkOptions {
-    /// Size of the input, where the network leaves it open.
+    /// Size of the input, if the network leaves it open.
     pub size: NetworkSize,
-    /// Sides that the network leaves open become a multiple of this.
+    /// Sides that the network leaves open are rounded to a multiple of this.
     pub multiple: usize,
     /// Subtracted from red, green and blue, which are in [0, 1].
     pub mean: [f32; 3],
     /// Divisors of the differences.
     pub std: [f32; 3],
-    /// The network returns depth (larger is farther) instead of inverse depth.
+    /// True if the network returns depth (larger is farther) instead of inverse depth.
     pub metric: bool,
-    /// The output that is the map, where there are several.
+    /// Name of the output that is the map, if there are several.
     pub output: Option<String>,
 }
 
 /// Size of a network's input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum NetworkSize {
-    /// The shorter side; the other one keeps the frame's shape.
+    /// The shorter side; the other one keeps the frame's aspect ratio.
     Shorter(usize),
     /// Height and width, without keeping the aspect ratio.
     Exact([usize; 2]),
@@ -49,7 +49,7 @@ impl Default for NetworkOptions {
 pub struct WrongOption {
     /// The part.
     pub part: String,
-    /// Values it can have.
+    /// Valid values.
     pub expected: &'static str,
 }
 
@@ -59,16 +59,16 @@ const MOST: usize = 8192;
 impl FromStr for NetworkOptions {
     type Err = WrongOption;
 
-    /// `KEY=VALUE,…`, each key once at most:
+    /// `KEY=VALUE,…`, with each key at most once:
     ///
     /// | key | meaning | default |
     /// |---|---|---|
     /// | `size=N` or `size=WxH` | shorter side, or width and height, of an input whose size the network leaves open | `518` |
     /// | `multiple=N` | sides left open are rounded to a multiple of N | `14` |
     /// | `mean=R/G/B` | subtracted from colours in [0, 1]; one number applies to all three | `0.485/0.456/0.406` |
-    /// | `std=R/G/B` | what they are divided by then | `0.229/0.224/0.225` |
+    /// | `std=R/G/B` | divisors after the subtraction | `0.229/0.224/0.225` |
     /// | `metric` | the network returns depth, not inverse depth; it is inverted | |
-    /// | `output=NAME` | which output is the map, where there are several | the only one |
+    /// | `output=NAME` | the output that is the map, if there are several | the only one |
     fn from_str(text: &str) -> Result<Self, WrongOption> {
         let mut options = NetworkOptions::default();
         let mut seen: Vec<&str> = Vec::new();

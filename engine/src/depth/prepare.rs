@@ -1,26 +1,26 @@
-//! A frame as a depth network's input, and its output as a map of the frame's size.
+//! Conversion of a frame to a depth network's input, and of the output to a map of the frame's size.
 
 use streamsplat_kernels::Level;
 use streamsplat_kernels::resize::{self, Filter, Grid};
 
 use super::{NetworkOptions, NetworkSize};
 
-/// Most pixels of a network's input.
+/// Maximum number of pixels of a network's input.
 const MOST_PIXELS: usize = 1 << 23;
 
-/// Returns true if an input of `[height, width]` may be made: asked before memory is taken.
+/// Returns true if an input of `[height, width]` is within the limit; checked before memory is allocated.
 pub(super) fn is_allowed([height, width]: [usize; 2]) -> bool {
     height > 0 && width > 0 && height.checked_mul(width).is_some_and(|pixels| pixels <= MOST_PIXELS)
 }
 
-/// Height and width of the input for a frame of `[height, width]`.
+/// Returns height and width of the input for a frame of `[height, width]`.
 ///
-/// Axes that the network fixes are as they are; with both of them the frame is stretched. An axis that it leaves open
-/// keeps the frame's aspect ratio with the other axis where that is fixed, else with the requested shorter side; it is
-/// rounded to the nearest multiple, at least one. An exact requested size replaces both open axes.
+/// Axes that the network fixes are kept; if both are fixed, the frame is stretched. An open axis keeps the frame's
+/// aspect ratio: with the other axis if that is fixed, else with the requested shorter side. It is rounded to the
+/// nearest multiple, at least one. An exact requested size replaces both open axes.
 pub(super) fn input_size(frame: [usize; 2], axes: [Option<usize>; 2], options: &NetworkOptions) -> [usize; 2] {
     let multiple = options.multiple as u128;
-    // length · numerator / denominator to the nearest multiple.
+    // length · numerator / denominator, rounded to the nearest multiple.
     let rounded = |length: usize, numerator: usize, denominator: usize| {
         let (numerator, denominator) = (length as u128 * numerator as u128, denominator as u128 * multiple);
         let whole = ((2 * numerator + denominator) / (2 * denominator)).max(1) * multiple;
@@ -38,13 +38,14 @@ pub(super) fn input_size(frame: [usize; 2], axes: [Option<usize>; 2], options: &
     }
 }
 
-/// Planes of `[height, width]` `frame`, clamped to [0, 1], as the network's input `[3, height, width]` of size `to`.
+/// Converts the planes of a `[height, width]` frame, clamped to [0, 1], to the network's input `[3, height, width]` of
+/// size `to`.
 ///
-/// Resized with the antialiased cubic (Keys, −½), clamped again, then `(x − mean) / std` for each channel: a difference
-/// and a quotient, each rounded once.
+/// The frame is resized with the antialiased cubic (Keys, −½), clamped again, and mapped by `(x − mean) / std` for each
+/// channel: a difference and a quotient, each rounded once.
 ///
 /// # Panics
-/// When `rgb` does not hold three planes of the frame's size, or a side is zero.
+/// If `rgb` does not hold three planes of the frame's size, or a side is zero.
 pub(super) fn image(
     level: Level,
     rgb: &[f32],
@@ -63,13 +64,13 @@ pub(super) fn image(
     input
 }
 
-/// The network's output of size `from` as inverse depth of the frame's size, bilinearly (half-pixel centres).
+/// Resizes the network's output of size `from` to inverse depth of the frame's size, bilinearly (half-pixel centres).
 ///
 /// Depth is inverted before it is resized. Values not above 0 have no inverse: they become NaN, which the engine counts
-/// and takes as farthest.
+/// and treats as farthest.
 ///
 /// # Panics
-/// When `answer` does not hold a plane of that size, or a side is zero.
+/// If `answer` does not hold a plane of that size, or a side is zero.
 pub(super) fn map(level: Level, mut answer: Vec<f32>, from: [usize; 2], frame: [usize; 2], metric: bool) -> Vec<f32> {
     if metric {
         answer.iter_mut().for_each(|d| *d = if *d > 0.0 { 1.0 / *d } else { f32::NAN });
@@ -122,7 +123,7 @@ mod tests {
         let rgb: Vec<f32> = [0.25, 0.5, 2.0].iter().flat_map(|&v| [v; 12]).collect();
         let input = image(Level::detect(), &rgb, [3, 4], [14, 28], &options("mean=0.25/0/0.5,std=1/2/0.25"));
         for (plane, expected) in input.chunks_exact(14 * 28).zip([0.0, 0.25, 2.0]) {
-            // The weights of an output add up to 1 but for their rounding.
+            // The weights of an output add up to 1 up to rounding.
             assert!(plane.iter().all(|v| (v - expected).abs() < 1e-6), "{expected}: {plane:?}");
         }
     }

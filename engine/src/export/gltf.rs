@@ -10,12 +10,12 @@ use crate::import::gltf::{EXTENSION, half_turn};
 use crate::render::Snapshot;
 use crate::still::{Still, grown};
 
-/// The Gaussians of one time as a binary glTF file: [`of_still`] of [`Still::of`].
+/// Writes the Gaussians of one time as a binary glTF file: [`of_still`] of [`Still::of`].
 pub fn glb(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
 
-/// A still scene as a binary glTF file: the bytes of [`written`].
+/// Writes a still scene as a binary glTF file: the bytes of [`written`].
 ///
 /// # Panics
 /// As there.
@@ -23,15 +23,15 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     written(still).bytes
 }
 
-/// A still scene as a binary glTF file: one point primitive with all attributes in binary32, and `COLOR_0`, linear as
-/// in glTF, for programs that draw points.
+/// Writes a still scene as a binary glTF file: one point primitive with all attributes in binary32. It includes
+/// `COLOR_0`, linear as in glTF, for programs that draw points.
 ///
-/// In glTF's axes, x left, y up, z forward; the scene's offset is its node's translation. In the scene's order;
-/// Gaussians that cannot be drawn ([`Still::defect`]) are left out. [`import`](mod@crate::import) reads it.
+/// Axes are glTF's: x left, y up, z forward. The scene's offset is its node's translation. Gaussians are in the scene's
+/// order; those that cannot be drawn ([`Still::defect`]) are left out. [`import`](mod@crate::import) reads the file.
 ///
 /// # Panics
-/// When the arrays differ in length ([`Still::uneven`]), or the file would be longer than 4 GiB, which its header
-/// cannot hold.
+/// If the arrays differ in length ([`Still::uneven`]), or if the file would be longer than 4 GiB, which its header
+/// cannot store.
 pub fn written(still: &Still) -> Written {
     let kept = Order::own(still);
     let mut notes = Notes::of(still, &kept);
@@ -75,7 +75,7 @@ pub fn written(still: &Still) -> Written {
     Written { bytes: parts.file(attributes, turned.about.offset), notes: notes.0 }
 }
 
-/// The binary chunk and what describes it.
+/// The binary chunk and its description.
 struct Parts<'a> {
     order: &'a [usize],
     bytes: Vec<u8>,
@@ -109,10 +109,10 @@ impl Parts<'_> {
         self.describe(start, accessor)
     }
 
-    /// Adds an accessor of the bytes from `start` on; its number.
+    /// Adds an accessor for the bytes from `start` on; returns its index.
     fn describe(&mut self, start: usize, mut accessor: Value) -> usize {
         let length = self.bytes.len() - start;
-        // A view of no bytes is not allowed: accessors without one are of zeros, here of none.
+        // A view without bytes is not allowed. An accessor without a view consists of zeros, here of no elements.
         if length > 0 {
             accessor["bufferView"] = self.views.len().into();
             self.views.push(json!({ "buffer": 0, "byteOffset": start, "byteLength": length, "target": 34962 }));
@@ -134,7 +134,7 @@ impl Parts<'_> {
             document["nodes"][0]["translation"] = json!(offset);
         }
         if self.order.is_empty() {
-            // A mesh has at least one primitive, and that at least one point.
+            // A mesh has at least one primitive, and a primitive at least one point.
             document["nodes"] = json!([{}]);
         } else {
             document["meshes"] = json!([{ "primitives": [primitive] }]);

@@ -1,7 +1,6 @@
-//! Scenes in the formats of others.
+//! Scenes in the formats of other programs.
 //!
-//! There is no open format for dynamic Gaussians; what viewers read are sequences of still ones, one [`Snapshot`] per
-//! time.
+//! There is no open format for dynamic Gaussians. Viewers read sequences of still scenes, one [`Snapshot`] per time.
 //!
 //! [`Snapshot`]: crate::render::Snapshot
 
@@ -28,7 +27,7 @@ pub use tracks::{HEADER as TRACKS_HEADER, tracks};
 
 use order::Order;
 
-/// The same of scenes that do not move.
+/// The same functions for still scenes.
 pub mod still {
     pub use super::gltf::of_still as glb;
     pub use super::packed::of_still as packed;
@@ -38,7 +37,7 @@ pub mod still {
     pub use super::spz::of_still as spz;
 }
 
-/// Still scenes as files, with lines about what of the scene those do not hold.
+/// Still scenes as files, with notes on the content that is lost.
 pub mod written {
     pub use super::gltf::written as glb;
     pub use super::packed::written as packed;

@@ -1,4 +1,4 @@
-//! Files that were written, and what of a scene they do not hold.
+//! Written files, with notes on the content of a scene that is lost.
 
 use super::Order;
 use crate::still::{Defect, Still};
@@ -13,34 +13,34 @@ pub struct Options {
 /// Versions of SPZ that are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SpzVersion {
-    /// One gzip stream: what viewers open.
+    /// One gzip stream, which most viewers open.
     #[default]
     V3,
     /// A zstd frame for each attribute, with extension records.
     V4,
 }
 
-/// A file, and lines about what of the scene it does not hold.
+/// A file, and notes on the content of the scene that is lost.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Written {
     /// Its bytes.
     pub bytes: Vec<u8>,
-    /// What was left out, moved or lost beyond the precision that the format always has, a line each.
+    /// Notes on content that was left out, moved, or lost beyond the format's usual precision, a line each.
     pub notes: Vec<String>,
 }
 
 impl Written {
-    /// A file that holds everything that its format can.
+    /// Returns a file that holds everything that its format can.
     pub(super) fn of(bytes: Vec<u8>) -> Written {
         Written { bytes, notes: Vec::new() }
     }
 }
 
-/// Lines about what a file does not hold.
+/// Notes on lost content.
 pub(super) struct Notes(pub(super) Vec<String>);
 
 impl Notes {
-    /// Notes on the Gaussians that are left out of a file with those of `order`.
+    /// Returns notes on the Gaussians that are not in `order` and so are left out.
     pub(super) fn of(still: &Still, order: &Order) -> Notes {
         let mut notes = Notes(Vec::new());
         let left = still.len() - order.places.len();
@@ -61,14 +61,14 @@ impl Notes {
         }
     }
 
-    /// Adds a note that the mark of anti-aliased training is lost, where there is one.
+    /// Adds a note that the mark of anti-aliased training is lost, if the scene has it.
     pub(super) fn without_mark(&mut self, still: &Still, format: &str) {
         if still.about.antialiased {
             self.0.push(format!("{format} has no mark for scenes trained with anti-aliasing: draw this one with it"));
         }
     }
 
-    /// Adds a note on the treatment of the scene's offset, where there is one.
+    /// Adds a note on the treatment of the scene's offset, if there is one.
     pub(super) fn offset(&mut self, offset: [f64; 3], what: &str) {
         if offset != [0.0; 3] {
             let [x, y, z] = offset;

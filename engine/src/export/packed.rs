@@ -1,4 +1,4 @@
-//! Compressed PLY, as [`import`](mod@crate::import) describes it.
+//! Compressed PLY; [`import`](mod@crate::import) describes the format.
 
 use streamsplat_kernels::harmonics::Y0;
 use streamsplat_kernels::math::f64::exp;
@@ -11,15 +11,15 @@ use crate::import::ply::comments;
 use crate::render::Snapshot;
 use crate::still::Still;
 
-/// The largest logarithm of a scale that is written, and the least below 0.
+/// Logarithms of scales are written up to this, and down to its negative.
 const LARGEST: f32 = 20.0;
 
-/// The Gaussians of one time as a compressed PLY file: [`of_still`] of [`Still::of`].
+/// Writes the Gaussians of one time as a compressed PLY file: [`of_still`] of [`Still::of`].
 pub fn packed(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
 
-/// A still scene as a compressed PLY file: the bytes of [`written`].
+/// Writes a still scene as a compressed PLY file: the bytes of [`written`].
 ///
 /// # Panics
 /// As there.
@@ -27,14 +27,15 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     written(still).bytes
 }
 
-/// A still scene as a compressed PLY file, in 16 bytes per Gaussian and one per further coefficient of its harmonics.
+/// Writes a still scene as a compressed PLY file, with 16 bytes per Gaussian and one per further coefficient of its
+/// harmonics.
 ///
-/// Gaussians are sorted along a Z-order curve, so that the 256 of a chunk lie together and their bounds are narrow.
-/// Gaussians that cannot be drawn ([`Still::defect`]) are left out. Logarithms of scales are clamped to ±20. The header
-/// stores the anti-aliasing mark and the offset of [`About`](crate::still::About) as comments.
+/// Gaussians are sorted along a Z-order curve, so that the 256 Gaussians of a chunk are close together and their bounds
+/// narrow. Gaussians that cannot be drawn ([`Still::defect`]) are left out. Logarithms of scales are clamped to ±20.
+/// The header stores the anti-aliasing mark and the offset of [`About`](crate::still::About) as comments.
 ///
 /// # Panics
-/// When the arrays differ in length ([`Still::uneven`]).
+/// If the arrays differ in length ([`Still::uneven`]).
 pub fn written(still: &Still) -> Written {
     let kept = Order::along_curve(still);
     let mut notes = Notes::of(still, &kept);
@@ -104,7 +105,7 @@ pub fn written(still: &Still) -> Written {
     Written { bytes: [header.into_bytes(), chunks, words, harmonics].concat(), notes: notes.0 }
 }
 
-/// Least and greatest values by axis.
+/// Returns least and greatest values by axis.
 fn bounds(chunk: &[usize], value: impl Fn(usize) -> [f32; 3]) -> [[f32; 3]; 2] {
     chunk.iter().fold([[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]], |[least, greatest], &i| {
         let value = value(i);
@@ -116,18 +117,18 @@ fn clamped(log_scale: f32) -> f32 {
     log_scale.clamp(-LARGEST, LARGEST)
 }
 
-/// Colour of a first coefficient.
+/// Converts a first coefficient to a colour.
 fn seen(coefficient: f32) -> f32 {
     (0.5 + f64::from(coefficient) * Y0) as f32
 }
 
-/// A share of 1 as a whole number of `bits` bits, halves away from zero.
+/// Quantises a number from 0 to 1 to `bits` bits, rounding halves away from zero.
 fn whole(share: f64, bits: u32) -> u32 {
     let most = (1_u32 << bits) - 1;
     (share * f64::from(most)).round().clamp(0.0, f64::from(most)) as u32
 }
 
-/// The three smallest of w, x, y, z; the largest, which is made positive, by its number.
+/// Packs the three smallest of w, x, y, z, and the index of the largest, which is made positive.
 fn rotation(q: [f32; 4]) -> u32 {
     let q = Rotation::from_quaternion(q.map(f64::from)).unwrap_or_default().quaternion();
     let largest = (1..4).fold(0, |best: usize, i| if q[i].abs() > q[best].abs() { i } else { best });

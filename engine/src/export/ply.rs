@@ -9,12 +9,12 @@ use crate::still::{About, Still};
 const BEFORE: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
 const AFTER: [&str; 8] = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
 
-/// The Gaussians of one time as a binary PLY file: [`of_still`] of [`Still::of`].
+/// Writes the Gaussians of one time as a binary PLY file: [`of_still`] of [`Still::of`].
 pub fn ply(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
 
-/// A still scene as a binary PLY file: the bytes of [`written`].
+/// Writes a still scene as a binary PLY file: the bytes of [`written`].
 ///
 /// # Panics
 /// As there.
@@ -22,20 +22,20 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     written(still).bytes
 }
 
-/// A still scene as a binary PLY file.
+/// Writes a still scene as a binary PLY file.
 ///
-/// Positions in scene space (x right, y down, z forward; scene units), as doubles where the scene has an offset;
-/// normals 0; `f_dc`, `f_rest` (all of the first channel, then the second, then the third; none at degree 0), `opacity`
-/// as a logit, `scale` as logarithms, and `rot` (w first) with the scene's own bits. Records in its order. `comment
-/// SplatRenderMode: mip` where the scene was trained with anti-aliasing.
+/// Positions are in scene space (x right, y down, z forward; scene units), as doubles if the scene has an offset.
+/// Normals are 0. `f_rest` has all coefficients of the first channel, then the second, then the third; there are none
+/// at degree 0. `opacity` is a logit, `scale` are logarithms, and `rot` has w first. Values keep the scene's own bits.
+/// Records are in the scene's order. `comment SplatRenderMode: mip` marks scenes trained with anti-aliasing.
 ///
 /// # Panics
-/// When the arrays differ in length ([`Still::uneven`]).
+/// If the arrays differ in length ([`Still::uneven`]).
 pub fn written(still: &Still) -> Written {
     let (count, rest) = (still.len(), still.rest());
     let (offset, far) = (still.about.offset, still.about.offset != [0.0; 3]);
     let mut out = b"ply\nformat binary_little_endian 1.0\n".to_vec();
-    // The offset is in the coordinates.
+    // The coordinates already include the offset.
     let about = About { offset: [0.0; 3], ..still.about.clone() };
     comments(&about).iter().for_each(|line| out.extend_from_slice(line.as_bytes()));
     out.extend_from_slice(format!("element vertex {count}\n").as_bytes());

@@ -9,27 +9,27 @@ use crate::picture::to_u8;
 use crate::render::Snapshot;
 use crate::still::Drawable;
 
-/// The identity, w first: each component times 128, plus 128, at most 255.
+/// The identity rotation, w first: each component times 128, plus 128, at most 255.
 const UNTURNED: [u8; 4] = [255, 128, 128, 128];
 
-/// The Gaussians of one time as `.splat` records, without a header.
+/// Writes the Gaussians of one time as `.splat` records, without a header.
 ///
-/// Each record: position (three f32, little-endian; scene space, x right, y down, z forward), standard deviations
-/// (three f32, scene units), red, green, blue and opacity (bytes: [0, 1] times 255, rounded half up), rotation (four
-/// bytes: a quaternion, w first, `128·q + 128`; the identity). In drawing order.
+/// Each record has the position (three f32, little-endian; scene space, x right, y down, z forward) and the standard
+/// deviations (three f32, scene units). Then follow red, green, blue and opacity (bytes: [0, 1] times 255, rounded half
+/// up) and the rotation (four bytes: a quaternion, w first, `128·q + 128`; the identity). Records are in drawing order.
 pub fn splat(snapshot: &Snapshot) -> Vec<u8> {
     let records = (0..snapshot.mean.len())
         .map(|i| (snapshot.mean[i], snapshot.scale[i], snapshot.rgb[i], snapshot.opacity[i], UNTURNED));
     written(records)
 }
 
-/// A still scene as `.splat` records: the bytes of [`of_scene`].
+/// Writes a still scene as `.splat` records: the bytes of [`of_scene`].
 pub fn of_still(scene: &Drawable) -> Vec<u8> {
     of_scene(scene).bytes
 }
 
-/// A still scene as `.splat` records, in the layout of [`splat`]. Higher coefficients of the harmonics are dropped, and
-/// so are Gaussians that cannot be drawn ([`Still::defect`](crate::still::Still::defect)).
+/// Writes a still scene as `.splat` records, in the layout of [`splat`]. Higher coefficients of the harmonics are
+/// dropped, as are Gaussians that cannot be drawn ([`Still::defect`](crate::still::Still::defect)).
 pub fn of_scene(scene: &Drawable) -> Written {
     let still = scene.still();
     let order = Order::own(still);

@@ -30,7 +30,7 @@ fn workers() -> Workers {
     Workers::new(Level::detect(), 1).expect("a thread")
 }
 
-/// The picture of a scene with its own mark of anti-aliasing, from a place of the original's coordinates.
+/// Draws a scene with its own mark of anti-aliasing, from a position in the original's coordinates.
 fn picture(still: &Still, offset: [f64; 3]) -> Vec<f32> {
     let place = |v: [f64; 3]| std::array::from_fn(|k| v[k] + offset[k]);
     let pose = Pose::look_at(place([0.3, -0.4, -3.0]), place([0.0, 0.0, 0.2]), [0.0, -1.0, 0.0]).expect("apart");
@@ -60,7 +60,7 @@ fn through(format: &Format, still: &Still, options: &Options) -> (Vec<String>, S
     (written.notes, file.still)
 }
 
-/// Decibels from the original that a format keeps at least.
+/// Returns the minimum PSNR in decibels between a format's picture and the original.
 fn kept(format: &Format) -> f64 {
     match format.option {
         "ply" => f64::INFINITY,
@@ -71,7 +71,7 @@ fn kept(format: &Format) -> f64 {
     }
 }
 
-/// The scene of a PLY file with harmonics of degree 4, which are read to degree 3.
+/// Returns the scene of a PLY file with harmonics of degree 4, which are read to degree 3.
 fn of_degree_4() -> Still {
     let original = still(60, 3);
     let rest = (0..72).map(|k| format!("property float f_rest_{k}\n")).collect::<String>();
@@ -81,7 +81,7 @@ fn of_degree_4() -> Still {
     for i in 0..original.len() {
         let own =
             [&original.mean[i][..], &original.logit[i..=i], &original.log_scale[i], &original.rotation[i]].concat();
-        // By channel; of 24 coefficients the last nine are those of degree 4.
+        // By channel; the last nine of 24 coefficients are those of degree 4.
         let higher = |k: usize| {
             let (channel, k) = (k / 24, k % 24);
             if k < 15 { original.higher[45 * i + 3 * k + channel] } else { 0.25 }
@@ -98,7 +98,7 @@ fn of_degree_4() -> Still {
     file.still
 }
 
-/// Unusual scenes, by name.
+/// Returns unusual scenes, by name.
 fn cases() -> Vec<(&'static str, Still)> {
     let changed = |change: &dyn Fn(&mut Still)| {
         let mut scene = still(400, 1);
@@ -161,7 +161,7 @@ fn what_cannot_be_drawn_is_left_out_of_every_format_counted_and_of_the_picture()
     let expected = picture(&scene, [0.0; 3]);
     for format in &FORMATS {
         let (notes, found) = through(format, &scene, &Options::default());
-        // PLY keeps every number; what cannot be drawn is not drawn from it either.
+        // PLY keeps every number; Gaussians that cannot be drawn are not drawn from it either.
         let (count, line) = if format.option == "ply" {
             (50, None)
         } else {

@@ -1,4 +1,4 @@
-//! Where every identity is at a key frame, as CSV.
+//! Positions of all identities at a key frame, as CSV.
 
 use std::fmt::Write;
 
@@ -9,14 +9,14 @@ use crate::stream::{Handover, Interval, Record, Reference};
 /// The first line.
 pub const HEADER: &str = "identity,birth,time,x,y,world_x,world_y,world_z,opacity,into";
 
-/// A line for every identity in the scene at the interval's end, ascending in identity: the identity, the key frame it
-/// was first seen in, the time in seconds, its tracked point in the source's image (pixel centres at whole numbers) and
-/// in the world, and its opacity. An identity that ends there because another shows the same place has that one as
-/// `into`.
+/// Returns a line for every identity in the scene at the interval's end, ascending in identity. It has the identity,
+/// the key frame where it first appeared, the time in seconds, its tracked point in the source's image (pixel centres
+/// at integers) and in the world, and its opacity. If an identity ends there because another one replaces it, `into` is
+/// that one.
 ///
 /// The tracked point is the record's position with its `offset`; [`Track`](crate::track::Track) follows the same
-/// points. Records with numbers that are not finite are left out. Numbers are the shortest that read back as the same
-/// bits.
+/// points. Records with numbers that are not finite are left out. Numbers have the fewest digits that read back as the
+/// same bits.
 pub fn tracks(interval: &Interval) -> String {
     let mut merges: Vec<(u64, u64)> = interval.merges.iter().map(|m| (m.identity, m.into)).collect();
     merges.sort_unstable();
@@ -27,7 +27,7 @@ pub fn tracks(interval: &Interval) -> String {
         r.is_sound() && (own || survives || into(r.identity).is_some())
     };
     let mut records: Vec<Record> = interval.gaussians.iter().filter(here).collect();
-    // Where an identity has two records, the one of the frame at the end has its position.
+    // If an identity has two records, the one of the frame at the end holds its position.
     records.sort_by_key(|r| (r.identity, r.reference == Reference::Start));
     records.dedup_by_key(|r| r.identity);
     let mut text = format!("{HEADER}\n");

@@ -1,4 +1,4 @@
-//! Files that another names: the images of a SOG scene, the buffers of a glTF document.
+//! Files named by another file: the images of a SOG scene, the buffers of a glTF document.
 
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -8,7 +8,7 @@ use std::rc::Rc;
 use super::{FormatError, read_file};
 use crate::still::Axes;
 
-/// The folder of a file, from which those are read that it names, and the digest of all that was read.
+/// The folder of a file, from which the files that it names are read, and the digest of all bytes read.
 pub(crate) struct Beside {
     folder: Option<PathBuf>,
     /// Axes of the numbers, where the user sets them.
@@ -17,19 +17,19 @@ pub(crate) struct Beside {
 }
 
 impl Beside {
-    /// For bytes in memory, without files.
+    /// Returns a value for bytes in memory, without other files.
     pub(crate) fn none() -> Beside {
         Beside { folder: None, axes: None, read: Rc::default() }
     }
 
-    /// For the file at `path`, which holds `bytes`.
+    /// Returns a value for the file at `path` with the content `bytes`.
     pub(super) fn of(path: &Path, bytes: &[u8], axes: Option<Axes>) -> Beside {
         let beside = Beside { folder: path.parent().map(Path::to_owned), axes, ..Beside::none() };
         beside.read.borrow_mut().0.update(bytes);
         beside
     }
 
-    /// The path of a file in the same folder, or in one below it. Names of other places are refused.
+    /// Returns the path of a file in the same folder or in a folder below it. Other paths are errors.
     fn path(&self, name: &str) -> Result<PathBuf, FormatError> {
         let Some(folder) = &self.folder else { return Err(wrong(name, "none, as this one is in memory".into())) };
         let own = name.strip_prefix("./").unwrap_or(name);
@@ -37,14 +37,14 @@ impl Beside {
         if below { Ok(folder.join(own)) } else { Err(wrong(name, "the name of another place".into())) }
     }
 
-    /// Bytes of a file of `own` and of those that it names, each once. Files that cannot be read have none:
-    /// [`Self::read`] has the reason.
+    /// Returns the total size of a file of `own` bytes and of the files that it names, each once. Files that cannot be
+    /// read count as 0 here; [`Self::read`] returns their error.
     pub(crate) fn size<'n>(&self, own: u64, names: impl Iterator<Item = &'n str>) -> u64 {
         let length = |name| std::fs::metadata(self.path(name).ok()?).ok().map(|about| about.len());
         names.collect::<BTreeSet<_>>().into_iter().filter_map(length).fold(own, u64::saturating_add)
     }
 
-    /// The bytes of a file in the same folder, at most `most` of them.
+    /// Reads a file in the same folder; more than `most` bytes are an error.
     pub(crate) fn read(&self, name: &str, most: u64) -> Result<Vec<u8>, FormatError> {
         let bytes = read_file(&self.path(name)?, most).map_err(|e| wrong(name, e.to_string()))?;
         let (hasher, length) = &mut *self.read.borrow_mut();
@@ -67,7 +67,7 @@ impl Beside {
         Ok((inner.read(own, most)?, inner))
     }
 
-    /// Total length of a file of `own` bytes and of all files read through it, and their digest.
+    /// Returns the total length of a file of `own` bytes and of all files read through it, and their digest.
     pub(super) fn finish(self, own: usize) -> (u64, String) {
         let (hasher, length) = &*self.read.borrow();
         (own as u64 + length, hasher.finalize().to_hex().to_string())
@@ -78,7 +78,7 @@ fn wrong(name: &str, found: String) -> FormatError {
     FormatError::new(format!("file {name:?}"), "a file beside this one", found)
 }
 
-/// Returns true for the name of a file or a folder that leads nowhere else.
+/// Returns true for a plain name of a file or folder, one that leads to no other folder.
 fn plain(name: &str) -> bool {
     !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\', ':', '\0'])
 }

@@ -1,11 +1,11 @@
-//! Files that are read from beginning to end, a block at a time.
+//! Files that are read from beginning to end, one block at a time.
 
 use std::fs::File;
 use std::io::{self, Read};
 
 use super::FormatError;
 
-/// Called with the bytes read so far, and with those of the whole file.
+/// Called with the number of bytes read so far and the size of the whole file.
 pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) + Send);
 
 /// Error that ends the reading of a file.
@@ -29,7 +29,7 @@ impl From<FormatError> for ReadError {
     }
 }
 
-/// A file of known length, at most one block of it in memory, with the digest of the bytes read.
+/// A file of known length, with at most one block of it in memory, and the digest of the bytes read.
 pub(super) struct Blocks<'a> {
     file: File,
     length: u64,
@@ -45,19 +45,19 @@ impl<'a> Blocks<'a> {
         Self { file, length, ahead: Vec::new(), taken: 0, hasher: blake3::Hasher::new(), progress }
     }
 
-    /// Bytes of the file.
+    /// Returns the size of the file in bytes.
     pub(super) fn length(&self) -> u64 {
         self.length
     }
 
-    /// The first bytes, at most `most` of them, before any is taken.
+    /// Returns the first bytes, at most `most` of them, before any is consumed.
     pub(super) fn head(&mut self, most: u64) -> io::Result<&[u8]> {
         let missing = most.min(self.length).saturating_sub(self.ahead.len() as u64);
         (&mut self.file).take(missing).read_to_end(&mut self.ahead)?;
         Ok(&self.ahead)
     }
 
-    /// Takes the next bytes, as many as `block` holds.
+    /// Reads the next bytes into all of `block`.
     pub(super) fn fill(&mut self, block: &mut [u8]) -> io::Result<()> {
         let before = self.ahead.len().min(block.len());
         let (first, rest) = block.split_at_mut(before);
@@ -70,7 +70,7 @@ impl<'a> Blocks<'a> {
         Ok(())
     }
 
-    /// Takes the next `count` bytes and leaves them out.
+    /// Skips the next `count` bytes.
     pub(super) fn pass(&mut self, mut count: u64) -> io::Result<()> {
         let mut block = vec![0; count.min(1 << 16) as usize];
         while count > 0 {
@@ -81,7 +81,7 @@ impl<'a> Blocks<'a> {
         Ok(())
     }
 
-    /// The file's length and its digest, once all of it is taken.
+    /// Returns the file's length and digest, once all of it is read.
     pub(super) fn finish(self) -> (u64, String) {
         (self.length, self.hasher.finalize().to_hex().to_string())
     }

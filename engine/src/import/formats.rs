@@ -1,4 +1,4 @@
-//! The formats of still scenes, read and written.
+//! The formats of still scenes, for reading and writing.
 
 use std::path::Path;
 
@@ -8,16 +8,16 @@ use crate::export::{self, Options, Written};
 use crate::render::Snapshot;
 use crate::still::{Drawable, Still};
 
-/// Reading files of one format.
+/// A reader of files of one format.
 pub(super) trait Reader: Sync {
-    /// Returns true if a file of this name and first bytes is one.
+    /// Returns true if a file with this name and these first bytes has the format.
     fn is(&self, path: &Path, head: &[u8]) -> bool;
 
-    /// Reads the whole of a file.
+    /// Reads a whole file.
     fn read(&self, bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError>;
 
-    /// Reads a file with at most one block of it in memory; `None`, with nothing consumed, where this one has to be
-    /// read as a whole.
+    /// Reads a file with at most one block of it in memory. Returns `None`, with nothing consumed, if this file has to
+    /// be read as a whole.
     fn read_blocks(&self, _file: &mut Blocks<'_>, _limits: &Limits) -> Result<Option<Still>, ReadError> {
         Ok(None)
     }
@@ -26,25 +26,25 @@ pub(super) trait Reader: Sync {
 /// A format of still scenes.
 #[non_exhaustive]
 pub struct Format {
-    /// Its name, as in messages.
+    /// Its name in messages.
     pub name: &'static str,
     /// Its name in `--format`.
     pub option: &'static str,
-    /// How the names of its files end, without the first dot.
+    /// Ending of its files' names, without the first dot.
     pub ending: &'static str,
-    /// Properties of a scene that the format keeps.
+    /// Properties of a scene that it keeps.
     pub keeps: &'static str,
     /// Properties and precision that it loses.
     pub loses: &'static str,
-    /// If several claim a file, the first in [`FORMATS`] reads it.
+    /// If several readers recognise a file, the first in [`FORMATS`] reads it.
     pub(super) reader: &'static dyn Reader,
-    /// The file of one time of a scene.
+    /// Writes one time of a scene.
     pub snapshot: fn(&Snapshot, &Options) -> Written,
-    /// The file of a still scene.
+    /// Writes a still scene.
     pub still: fn(&Drawable, &Options) -> Written,
 }
 
-/// All of them.
+/// All formats that are read and written.
 pub const FORMATS: [Format; 6] = [
     Format {
         name: "PLY",
@@ -111,17 +111,17 @@ pub const FORMATS: [Format; 6] = [
 /// A format of still scenes that is read and not written.
 #[non_exhaustive]
 pub struct ReadOnly {
-    /// Its name, as in messages.
+    /// Its name in messages.
     pub name: &'static str,
-    /// How the names of its files end.
+    /// Ending of its files' names.
     pub ending: &'static str,
-    /// Content that is read, and content that is left out.
+    /// Content that is read and content that is left out.
     pub reads: &'static str,
-    /// As that of a [`Format`], before which this one is asked.
+    /// Its reader, which is tried before those of [`FORMATS`].
     pub(super) reader: &'static dyn Reader,
 }
 
-/// All of them.
+/// All formats that are only read.
 pub const READ_ONLY: [ReadOnly; 2] = [
     ReadOnly {
         name: "ksplat",
@@ -138,13 +138,13 @@ pub const READ_ONLY: [ReadOnly; 2] = [
 ];
 
 impl Format {
-    /// Returns true if `path` is named as a file of this format.
+    /// Returns true if the name of `path` is one of this format.
     pub fn names(&self, path: &Path) -> bool {
         let name = path.file_name().map(|name| name.to_string_lossy().to_lowercase());
         name.is_some_and(|name| name.strip_suffix(self.ending).is_some_and(|stem| stem.ends_with('.')))
     }
 
-    /// The format of a file's name; the one with the longest ending if several match.
+    /// Returns the format of a file's name; the one with the longest ending if several match.
     pub fn of_name(path: &Path) -> Option<&'static Format> {
         FORMATS.iter().filter(|format| format.names(path)).max_by_key(|format| format.ending.len())
     }

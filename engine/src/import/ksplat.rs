@@ -16,7 +16,7 @@
 //! | 16 | f32: side of a bucket |
 //! | 20 | u16: bytes of a bucket (12) |
 //! | 24 | u32: range r of the places in a bucket; 0 means the level's default |
-//! | 32, 36 | u32: full buckets, and those that are not |
+//! | 32, 36 | u32: number of full buckets, and of others |
 //! | 40 | u16: degree of the harmonics, 0 to 2 |
 //!
 //! Sections follow their headers: the lengths of the buckets that are not full (u32), the buckets' middles m (three f32
@@ -30,7 +30,7 @@
 //! | red, green, blue, opacity | 4 bytes over 255 | the same |
 //! | harmonics, each band by channel | f32 | f16; level 2: bytes between least and greatest |
 //!
-//! Colours become `(c − ½) / Y₀`, as those of `.splat`. Harmonics of a section of a lower degree than another's are 0.
+//! Colours become `(c − ½) / Y₀`, as in `.splat`. If another section has a higher degree, the missing harmonics are 0.
 //!
 //! Source: GaussianSplats3D 0.4.7, `SplatBuffer`.
 
@@ -54,7 +54,7 @@ const HALF_RANGE: f32 = 1.5;
 /// Default range of the places of levels 1 and 2, on either side of a bucket's middle.
 const PLACES: u32 = 32767;
 
-/// The Gaussians of a whole `.ksplat` file.
+/// Reads the Gaussians of a whole `.ksplat` file.
 ///
 /// # Errors
 /// Another version, an unknown level, a length that does not match the headers, more Gaussians than the limits allow.
@@ -78,7 +78,7 @@ fn wrong(part: &str, expected: impl Into<String>, found: impl ToString) -> Forma
     FormatError::new(part, expected, found.to_string())
 }
 
-/// Little-endian number at `at`. The caller has checked the length.
+/// Reads a little-endian number at `at`. The caller has checked the length.
 fn u16_at(bytes: &[u8], at: usize) -> u16 {
     bytes[at..].first_chunk().map_or(0, |b| u16::from_le_bytes(*b))
 }
@@ -91,7 +91,7 @@ fn f32_at(bytes: &[u8], at: usize) -> f32 {
     bytes[at..].first_chunk().map_or(0.0, |b| f32::from_le_bytes(*b))
 }
 
-/// How numbers are stored.
+/// The encoding of numbers.
 #[derive(Clone, Copy)]
 struct Level {
     /// 0 to 2.
@@ -101,7 +101,7 @@ struct Level {
 }
 
 impl Level {
-    /// Bytes of a number: of a centre, of scales and rotations, of harmonics.
+    /// Returns the bytes per number of centres, of scales and rotations, and of harmonics.
     fn sizes(self) -> [usize; 3] {
         match self.number {
             0 => [4, 4, 4],
@@ -110,7 +110,7 @@ impl Level {
         }
     }
 
-    /// Bytes of a record.
+    /// Returns the bytes per record.
     fn record(self, degree: usize) -> usize {
         let [centre, number, harmonic] = self.sizes();
         3 * centre + 7 * number + 4 + 3 * rest(degree) * harmonic
@@ -134,7 +134,7 @@ impl Level {
     }
 }
 
-/// A section whose bytes are there.
+/// A section whose bytes are all present.
 struct Section<'a> {
     count: usize,
     degree: usize,
@@ -187,7 +187,7 @@ fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     Ok(still)
 }
 
-/// The section of a header, and the bytes after it.
+/// Reads the section of a header; returns it and the bytes after it.
 fn section<'a>(
     index: usize,
     header: &[u8],
@@ -204,7 +204,7 @@ fn section<'a>(
     if buckets > 0 && storage != BUCKET {
         return Err(wrong(&part("bytes of a bucket"), BUCKET.to_string(), storage));
     }
-    // No product of two 32-bit numbers and a record's length, nor the sum, is beyond 64 bits twice over.
+    // Products of two 32-bit numbers, one of them times a record's length, and their sum fit in 64 bits.
     let sizes = [partial * 4, buckets * BUCKET, count * level.record(degree)];
     let mut rest = body;
     let mut take = |length: usize, name: &str| -> Result<&'a [u8], FormatError> {
@@ -285,7 +285,7 @@ mod tests {
 
     use super::*;
 
-    /// A file of one section; `buckets` are its full and its shorter ones, with their middles.
+    /// Builds a file of one section; `buckets` are its full and its shorter ones, with their middles.
     fn file(level: u16, degree: u16, records: &[Vec<u8>], full: u32, shorter: &[u32], middles: &[[f32; 3]]) -> Vec<u8> {
         let mut bytes = vec![0; HEADER + SECTION];
         let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);

@@ -1,8 +1,8 @@
-//! How much of a file is read.
+//! Limits on reading a file.
 //!
-//! A file of N bytes may hold Gaussians that take [`RATIO`]·N bytes in memory, or [`SMALL`] where that is more. What
-//! counts is the scene as it is read, all intervals of a container and all instances of a mesh together; readers need a
-//! few times that while they unpack. Measured, in bytes per byte of the file:
+//! A file of N bytes may hold Gaussians that take [`RATIO`]·N bytes in memory, or [`SMALL`] if that is more. The limit
+//! applies to the scene after reading: all intervals of a container or all instances of a mesh together. Readers need a
+//! few times that memory while they unpack. Measured, in bytes per byte of the file:
 //!
 //! | file | ratio |
 //! |---|---|
@@ -21,18 +21,18 @@ use crate::still::Still;
 
 /// Default limit on the Gaussians of a scene.
 pub const GAUSSIANS: usize = 1 << 24;
-/// Default limit on the bytes in memory for each byte of a file.
+/// Default limit on the bytes in memory per byte of a file.
 pub const RATIO: u64 = 256;
-/// Bytes in memory that any file may take.
+/// Bytes in memory that are allowed for a file of any size.
 pub const SMALL: u64 = 16 << 20;
 
-/// How much of a file is read: limits on its content, and its level of detail. Compressed and sparse files can expand
-/// to many times their size.
+/// Limits on a file's content, and the level of detail to read. Compressed and sparse files can expand to many times
+/// their size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Gaussians of an interval, or of a still scene.
+    /// Maximum number of Gaussians of an interval, or of a still scene.
     pub gaussians: usize,
-    /// Bytes that the scene takes in memory for each byte of its file; [`SMALL`] are always allowed.
+    /// Maximum bytes in memory per byte of the file; [`SMALL`] are always allowed.
     pub ratio: u64,
     /// Level of detail of a file that has several; 0 is the finest.
     pub level: usize,
@@ -45,7 +45,7 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// An error where there are more Gaussians than allowed.
+    /// Returns an error if there are more Gaussians than allowed.
     pub(crate) fn check_count(&self, part: &str, count: usize) -> Result<(), FormatError> {
         if count <= self.gaussians {
             return Ok(());
@@ -71,17 +71,17 @@ impl Limits {
         Err(FormatError::new(part, expected, count.to_string()))
     }
 
-    /// Both, of `count` Gaussians of a still scene whose harmonics have this degree.
+    /// Checks both limits for `count` Gaussians of a still scene with harmonics of this degree.
     pub(crate) fn check_still(&self, part: &str, count: usize, degree: usize, size: u64) -> Result<(), FormatError> {
         self.check_count(part, count)?;
         self.check_memory(part, "Gaussians", count as u64, Still::bytes_each(degree), size)
     }
 }
 
-/// The bytes of a file of at most `most` bytes. Memory is taken as the file has them.
+/// Reads a file of at most `most` bytes. Memory grows with the bytes read.
 ///
 /// # Errors
-/// The system's; a longer file, memory that is not there.
+/// The system's error; a longer file; memory that cannot be allocated.
 pub fn read_file(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let file = File::open(path)?;
     let size = file.metadata()?.len();
@@ -99,10 +99,10 @@ pub fn read_file(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     if bytes.len() as u64 > most { Err(longer("more")) } else { Ok(bytes) }
 }
 
-/// As [`read_file`], of text.
+/// Reads text as [`read_file`] reads bytes.
 ///
 /// # Errors
-/// As there, and bytes that are no UTF-8.
+/// As there, and bytes that are not UTF-8.
 pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
     let bytes = read_file(path, most)?;
     String::from_utf8(bytes).map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e.utf8_error()))
@@ -120,10 +120,10 @@ mod tests {
         let error = limits.check_still("a", most + 1, 0, 1_000_000).expect_err("more").to_string();
         let start = format!("a: expected at most {most} Gaussians in a file of 1000000 bytes");
         assert!(error.starts_with(&start) && error.ends_with(&format!("found {}", most + 1)), "{error}");
-        // Harmonics count.
+        // Harmonics count towards the limit.
         assert!(limits.check_still("a", 256 * 1_000_000 / 236, 3, 1_000_000).is_ok());
         assert!(limits.check_still("a", 256 * 1_000_000 / 236 + 1, 3, 1_000_000).is_err());
-        // Small scenes are read from any file, and no product wraps around.
+        // Small scenes are read from any file, and no product overflows.
         assert!(limits.check_still("a", (16 << 20) / 56, 0, 1).is_ok());
         assert!(limits.check_still("a", (16 << 20) / 56 + 1, 0, 1).is_err());
         assert!(limits.check_memory("a", "bytes", u64::MAX, u64::MAX, 1).is_err());
@@ -140,7 +140,7 @@ mod tests {
         assert_eq!(read_text(&path, 5).expect("short"), "hello");
         let error = read_file(&path, 4).expect_err("long").to_string();
         assert_eq!(error, "expected at most 4 bytes, found 5");
-        // A hole of a tebibyte takes no memory.
+        // A hole of a tebibyte needs no memory.
         File::create(&path).and_then(|file| file.set_len(1 << 40)).expect("sparse files");
         assert!(read_file(&path, 1 << 20).is_err());
         if cfg!(target_os = "linux") {

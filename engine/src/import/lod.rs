@@ -3,13 +3,13 @@
 //! | key | value |
 //! |---|---|
 //! | `version` | 1, or absent |
-//! | `lodLevels` | number of levels; 0 has most Gaussians |
+//! | `lodLevels` | number of levels; level 0 has the most Gaussians |
 //! | `counts` | Gaussians of each level; may be absent |
 //! | `filenames` | the scenes' `meta.json` |
 //! | `tree` | nodes with `children`, or with `lods`: for a level `{file, offset, count}`, a range of a scene's Gaussians |
 //! | `environment` | the `meta.json` of a scene that is part of every level; may be absent |
 //!
-//! The reader loads the union of one level, in the order of the files and of the ranges in them, and then the
+//! The reader loads the union of one level, in the order of the files and of the ranges in them, followed by the
 //! environment. Nodes without an entry for the level are skipped.
 //!
 //! Source: PlayCanvas, the streamed SOG format's description.
@@ -32,7 +32,7 @@ pub(super) const INDEX: &str = "lod-meta.json";
 const MAX_INDEX: usize = 1 << 26;
 /// Longest `meta.json` of a scene, in bytes.
 const MAX_META: u64 = 1 << 20;
-/// Most nodes of a tree, one in another.
+/// Maximum depth of the tree.
 const DEPTH: usize = 64;
 
 #[derive(Deserialize)]
@@ -81,19 +81,18 @@ fn wrong(part: &str, expected: impl Into<String>, found: impl ToString) -> Forma
 /// Files and ranges of one level, from a validated index.
 #[derive(Debug, PartialEq)]
 pub struct Plan {
-    /// Scenes, and the ranges of each that are taken, with their lengths.
+    /// Scenes, and the ranges that are read from each, as offset and length.
     pub files: Vec<(String, Vec<[usize; 2]>)>,
-    /// A scene that is taken whole.
+    /// A scene that is read as a whole.
     pub environment: Option<String>,
-    /// Gaussians of the ranges.
+    /// Number of Gaussians in the ranges.
     pub count: usize,
 }
 
 /// Reads the index and lists the files and ranges of a level. No other file is opened.
 ///
 /// # Errors
-/// Text of another form, a level that is not there, counts that contradict the tree, more Gaussians than the limits
-/// allow.
+/// Invalid text, a missing level, counts that contradict the tree, more Gaussians than the limits allow.
 pub fn plan(text: &[u8], limits: &Limits, level: usize) -> Result<Plan, FormatError> {
     if text.len() > MAX_INDEX {
         return Err(wrong("", format!("at most {MAX_INDEX} bytes"), text.len()));
@@ -122,7 +121,7 @@ pub fn plan(text: &[u8], limits: &Limits, level: usize) -> Result<Plan, FormatEr
         }
         files.entry(file).or_default().push([offset, count]);
     }
-    // No Gaussian of a file is taken twice, so that a union is no longer than its files.
+    // No Gaussian of a file is read twice, so that a union is no larger than its files.
     let (mut named, mut seen) = (Vec::new(), BTreeSet::new());
     for (file, mut ranges) in files {
         ranges.sort_unstable();
@@ -144,11 +143,11 @@ fn collect(node: &Node, level: usize, parts: &mut Vec<Part>, depth: usize) -> Re
     node.children.iter().try_for_each(|child| collect(child, level, parts, depth + 1))
 }
 
-/// The union of a level.
+/// Reads the union of a level.
 fn level(text: &[u8], beside: &Beside, limits: &Limits, level: usize) -> Result<Still, FormatError> {
     let plan = plan(text, limits, level)?;
     let mut still = Still::default();
-    // One scene at a time: no more is in memory than the union and one of them.
+    // Scenes are read one by one, so that memory holds only the union and one scene.
     for (name, ranges) in &plan.files {
         let scene = scene(name, beside, limits)?;
         for &[offset, count] in ranges {

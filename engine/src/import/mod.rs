@@ -4,14 +4,14 @@
 //! |---|---|---|
 //! | the folder of a scene or of a run, a `scene.json` | `{` | a [`Scene`] |
 //! | a container (`.ssz`) | `ssplat` | a [`Scene`] |
-//! | a still scene in one of the [`FORMATS`], or one that is [`READ_ONLY`] | see there | a [`Still`] |
+//! | a still scene in one of the [`FORMATS`], or one that is [`READ_ONLY`] | see these constants | a [`Still`] |
 //! | a PLY file of SpacetimeGaussians | `ply`, and its columns | a [`Spacetime`], which is a [`Still`] at any time |
 //!
 //! `.splat` and `.ksplat` have no magic bytes and are recognised by their file names. For any other file,
 //! [`crate::recognise`] names its kind in the error.
 //!
-//! Readers allocate memory for a count in a header only after two checks: the file is long enough for it, and it is
-//! within the [`Limits`] on the number of Gaussians and on the bytes in memory for each byte of the file.
+//! Before allocating memory for a count in a header, readers check that the file is long enough for it. They also check
+//! the [`Limits`] on the number of Gaussians and on the bytes in memory per byte of the file.
 
 mod beside;
 mod blocks;
@@ -70,7 +70,7 @@ impl FormatError {
     }
 }
 
-/// A scene that has been opened.
+/// An opened scene.
 #[derive(Debug)]
 #[expect(clippy::large_enum_variant, reason = "one value for a file, taken apart where it is made")]
 pub enum Opened {
@@ -80,7 +80,7 @@ pub enum Opened {
     Still(StillFile),
 }
 
-/// A still scene and the file it is from.
+/// A still scene and its file.
 #[derive(Debug)]
 pub struct StillFile {
     /// The file.
@@ -91,28 +91,28 @@ pub struct StillFile {
     pub bytes: u64,
     /// BLAKE3 digest, in hexadecimal, of the bytes of the file and of the files that it names, in reading order.
     pub blake3: String,
-    /// Its Gaussians; at the time 0 where they change in time.
+    /// Its Gaussians; those at time 0 if they change over time.
     pub still: Still,
-    /// Its Gaussians at every time, where they change.
+    /// Its Gaussians at every time, if they change over time.
     pub in_time: Option<Spacetime>,
-    /// Lines about what of the file is left out or assumed.
+    /// Notes on content that is left out or assumed.
     pub notes: Vec<String>,
 }
 
 impl StillFile {
-    /// The Gaussians at a time.
+    /// Returns the Gaussians at a time.
     pub fn at(&self, time: f64) -> Cow<'_, Still> {
         self.in_time.as_ref().map_or(Cow::Borrowed(&self.still), |scene| Cow::Owned(scene.at(time)))
     }
 }
 
-/// Longest still scene read, in bytes.
+/// Maximum size of a still scene's file, in bytes.
 pub(crate) const MAX_FILE: u64 = 16 << 30;
 
 /// Number of first bytes by which formats are recognised.
 const HEAD: u64 = 8;
 
-/// The name and the reader of a still scene that begins so.
+/// Returns the name and the reader of the format of a still scene with these first bytes.
 fn format(path: &Path, head: &[u8]) -> Option<(&'static str, &'static dyn Reader)> {
     let only = READ_ONLY.iter().find(|format| format.reader.is(path, head)).map(|format| (format.name, format.reader));
     only.or_else(|| {
@@ -120,17 +120,17 @@ fn format(path: &Path, head: &[u8]) -> Option<(&'static str, &'static dyn Reader
     })
 }
 
-/// Returns true if a file begins as one of the formats that are a scene in one file.
+/// Returns true if a file begins as one of the formats that store a scene in one file.
 pub fn is_scene(path: &Path) -> bool {
     let mut head = Vec::new();
     let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
     read.is_ok() && (format(path, &head).is_some() || head.starts_with(&scene::MAGIC))
 }
 
-/// Opens a scene in time.
+/// Opens a moving scene.
 ///
 /// # Errors
-/// As [`open`], and a still scene.
+/// Those of [`open`]; a still scene.
 pub fn open_moving(path: &Path, limits: &Limits) -> Result<Scene, SceneError> {
     match open(path, limits)? {
         Opened::Moving(scene) => Ok(scene),
@@ -144,11 +144,12 @@ pub fn open_moving(path: &Path, limits: &Limits) -> Result<Scene, SceneError> {
     }
 }
 
-/// Reads a still scene from memory. The format follows from the content; `.splat` and `.ksplat` have no magic bytes and
-/// follow from the ending of `name`, which may be empty otherwise. Files of SpacetimeGaussians are read at the time 0.
+/// Reads a still scene from memory. The format is recognised by content; `.splat` and `.ksplat` have no magic bytes and
+/// are recognised by the ending of `name`, which may be empty otherwise. Files of SpacetimeGaussians are read at time
+/// 0.
 ///
 /// # Errors
-/// Bytes of another kind, broken ones, more than the limits allow, and formats whose scene is in several files.
+/// Bytes of an unknown format, broken content, more than the limits allow, and formats whose scene is in several files.
 pub fn read(bytes: &[u8], name: &str, limits: &Limits) -> Result<Still, FormatError> {
     let head = &bytes[..bytes.len().min(HEAD as usize)];
     let Some((_, reader)) = format(Path::new(name), head) else {
@@ -168,12 +169,12 @@ pub fn read(bytes: &[u8], name: &str, limits: &Limits) -> Result<Still, FormatEr
 /// Opens a scene of any kind.
 ///
 /// # Errors
-/// A file or a folder that cannot be read, or holds something else, something broken, or more than the limits allow.
+/// A file or a folder that cannot be read, is not a scene, is broken, or exceeds the limits.
 pub fn open(path: &Path, limits: &Limits) -> Result<Opened, SceneError> {
     open_with(path, limits, &mut |_, _| {})
 }
 
-/// As [`open_as`], along the axes stored in the file or, without them, those of its format.
+/// Opens a scene as [`open_as`] does, along the axes stored in the file or, without them, those of its format.
 ///
 /// # Errors
 /// As [`open`].
@@ -181,16 +182,16 @@ pub fn open_with(path: &Path, limits: &Limits, progress: Progress<'_>) -> Result
     open_as(path, limits, None, progress)
 }
 
-/// As [`open`], on the current rayon pool. `progress` is called with the part of a long file that has been read. `axes`
-/// overrides the axes of a still scene's file.
+/// Opens a scene as [`open`] does, on the current rayon pool. `progress` is called with the number of bytes read of a
+/// long file. `axes` overrides the axes of a still scene's file.
 ///
-/// A binary PLY file is read in blocks of some megabytes: the next block is read while the last one is decoded. Neither
-/// the whole file nor any number of it is in memory twice.
+/// A binary PLY file is read in blocks of some megabytes: the next block is read while the last one is decoded. Memory
+/// never holds the whole file, nor two copies of a number.
 ///
 /// # Errors
 /// As [`open`].
 pub fn open_as(path: &Path, limits: &Limits, axes: Option<Axes>, progress: Progress<'_>) -> Result<Opened, SceneError> {
-    // The images of a SOG scene and the levels of a streamed one are named by their folder, too.
+    // The images of a SOG scene and the levels of a streamed one may also be opened by their folder.
     let index = recognise::index(path).filter(|_| path.is_dir() && !path.join(scene::INDEX).exists());
     let path = index.as_deref().unwrap_or(path);
     if let Some(wrong) = recognise::not_a_scene(path) {
@@ -210,7 +211,7 @@ pub fn open_as(path: &Path, limits: &Limits, axes: Option<Axes>, progress: Progr
         return Err(broken(FormatError::new("level of detail", "a streamed SOG scene, for a level above 0", name)));
     }
     let opened = |mut still: Still, (bytes, blake3)| {
-        // Numbers inside of others have been taken so.
+        // Files inside others were already read along these axes.
         if let Some(axes) = axes.filter(|axes| still.about.axes_assumed || still.about.axes != *axes) {
             still.taken_along(axes);
         }

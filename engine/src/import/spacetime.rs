@@ -1,11 +1,11 @@
-//! PLY files of SpacetimeGaussians: Gaussians that move, turn and fade in time.
+//! PLY files of SpacetimeGaussians: Gaussians that move, turn and fade over time.
 //!
 //! In addition to the columns of a still scene ([`super::ply()`]), each Gaussian has
 //!
 //! | column | value |
 //! |---|---|
-//! | `trbf_center`, `trbf_scale` | the time c at which it is most opaque, and the logarithm of how long it is |
-//! | `motion_0` … `motion_8` | the coefficients m₁, m₂, m₃ of its way, three axes each |
+//! | `trbf_center`, `trbf_scale` | the time c of its highest opacity, and the logarithm of its duration |
+//! | `motion_0` … `motion_8` | the coefficients m₁, m₂, m₃ of its path, three axes each |
 //! | `omega_0` … `omega_3` | change ω of its quaternion; absent: 0 |
 //!
 //! At the time t, with d = t − c:
@@ -14,10 +14,11 @@
 //! centre = p + m₁·d + m₂·d² + m₃·d³        rotation = q + ω·d, to length 1        opacity = o·e^−(d / e^s)²
 //! ```
 //!
-//! formed in binary64 and rounded once. Times are the training's: 0 is its first frame and 1 the end of the clip.
+//! computed in binary64 and rounded once. Times are those of the training: 0 is its first frame and 1 the end of the
+//! clip.
 //!
-//! `f_dc_0` … `f_dc_2` are colours as they are seen, as SpacetimeGaussians writes them, not harmonics, unless more than
-//! a tenth of the numbers are negative, as no colours are: then they are harmonics' first coefficients. The full model
+//! SpacetimeGaussians writes `f_dc_0` … `f_dc_2` as displayed colours, not as harmonics. If more than a tenth of these
+//! numbers are negative, which colours never are, they are read as the harmonics' first coefficients. The full model
 //! computes colours from `f_dc_3` …, `f_t_*` and the ray direction with a small network, which PLY files do not
 //! contain. These columns are skipped with a note.
 //!
@@ -33,7 +34,7 @@ use crate::still::{LEAST, Still};
 
 /// The name of the format.
 pub(super) const NAME: &str = "PLY of SpacetimeGaussians";
-/// Columns without which a file is a still scene.
+/// Columns of this format; a file without them is a still scene.
 const WANTED: [&str; 11] = [
     "trbf_center",
     "trbf_scale",
@@ -52,28 +53,28 @@ const TURN: [&str; 4] = ["omega_0", "omega_1", "omega_2", "omega_3"];
 /// Gaussians that move, turn and fade.
 #[derive(Clone, Debug)]
 pub struct Spacetime {
-    /// The numbers of the file, those of every time.
+    /// The values of the file that do not depend on time.
     base: Still,
     centre: Vec<f32>,
     /// Logarithms.
     width: Vec<f32>,
     motion: Vec<[f32; 9]>,
     omega: Vec<[f32; 4]>,
-    /// Lines about how the file is read.
+    /// Notes on the interpretation of the file.
     notes: Vec<String>,
 }
 
-/// Returns true if the header of a PLY file, which is among its first bytes, has a column of this format's own.
+/// Returns true if the header of a PLY file, given by its first bytes, has a column that only this format has.
 pub(super) fn is(head: &[u8]) -> bool {
     let head = &head[..head.len().min(ply::MAX_HEADER)];
     head.starts_with(b"ply")
         && head.split(|byte| *byte == b'\n').any(|line| line.trim_ascii_end().ends_with(b" trbf_center"))
 }
 
-/// The Gaussians of a whole file.
+/// Reads the Gaussians of a whole file.
 ///
 /// # Errors
-/// As [`super::ply()`], and a column that is missing or no float.
+/// Those of [`super::ply()`], and a column that is missing or not a float.
 pub fn spacetime(bytes: &[u8], limits: &Limits) -> Result<Spacetime, FormatError> {
     let mut base = ply::within(bytes, limits)?;
     let mut all = columns(bytes, &[&WANTED[..], &TURN[..]].concat())?;
@@ -108,7 +109,7 @@ pub fn spacetime(bytes: &[u8], limits: &Limits) -> Result<Spacetime, FormatError
 }
 
 impl Spacetime {
-    /// Number of Gaussians.
+    /// Returns the number of Gaussians.
     pub fn len(&self) -> usize {
         self.base.len()
     }
@@ -118,18 +119,18 @@ impl Spacetime {
         self.base.is_empty()
     }
 
-    /// A line about when there is something to see.
+    /// Returns a note on the times at which something is visible.
     pub(super) fn about(&self) -> String {
         let [first, last] = self.span().unwrap_or_default();
         format!("Gaussians in time, most opaque from {first} to {last}: taken at 0, or at --times")
     }
 
-    /// Lines about how the file is read.
+    /// Returns notes on the interpretation of the file.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// The times at which the first and the last Gaussian are most opaque; `None` where none is finite.
+    /// Returns the times at which the first and the last Gaussian are most opaque; `None` if no time is finite.
     pub fn span(&self) -> Option<[f32; 2]> {
         let finite = self.centre.iter().filter(|c| c.is_finite());
         finite.fold(None, |span: Option<[f32; 2]>, &c| {
@@ -138,7 +139,7 @@ impl Spacetime {
         })
     }
 
-    /// The still scene of a time.
+    /// Returns the still scene at a time.
     pub fn at(&self, time: f64) -> Still {
         let mut still = self.base.clone();
         for i in 0..self.len() {
@@ -156,7 +157,7 @@ impl Spacetime {
     }
 }
 
-/// The logit of an opacity at the distance `d` from its time.
+/// Returns the logit of an opacity at the distance `d` from its time.
 fn faded(logit: f32, d: f64, width: f32) -> f32 {
     let x = f64::from(logit);
     if d == 0.0 || x.is_nan() {
@@ -172,7 +173,7 @@ fn faded(logit: f32, d: f64, width: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// A text file of Gaussians with these columns in place of the format's own, which are appended to a still scene's.
+    /// Builds a text file of Gaussians whose format-specific columns, appended to a still scene's, are these.
     fn file(own: &str, values: &[&str]) -> Vec<u8> {
         let still = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
         let header: String =
@@ -201,7 +202,7 @@ mod tests {
         assert!((found - expected).abs() < 1e-7, "{found} {expected}");
         assert_eq!(scene.at(0.0).logit, later.logit);
         assert_eq!((scene.span(), scene.notes().len()), (Some([0.5, 0.5]), 0));
-        // Far away nothing is left, and nothing is not a number.
+        // Far away the opacity is about 0, and no value is NaN.
         assert!(scene.at(1e300).logit[0] < -27.0 && scene.at(-50.0).logit[0].is_finite());
     }
 

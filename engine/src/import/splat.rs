@@ -7,9 +7,10 @@
 //! | 4 | red, green, blue and opacity, over 255 |
 //! | 4 | rotation, w first: `(b − 128) / 128` |
 //!
-//! Colours become `(c − ½) / Y₀`; opacities of 0 and 1 stay within 10⁻¹² of them, standard deviations above that.
+//! Colours become `(c − ½) / Y₀`. Opacities of 0 and 1 become values within 10⁻¹² of them, and standard deviations are
+//! at least 10⁻¹².
 //!
-//! Source: antimatter15's viewer, which the format is from.
+//! Source: antimatter15's viewer, where the format comes from.
 
 use streamsplat_kernels::harmonics::Y0;
 use streamsplat_kernels::math::f64::ln;
@@ -23,10 +24,10 @@ use crate::still::{LEAST, Still};
 /// Bytes of a record.
 const RECORD: usize = 32;
 
-/// The Gaussians of a whole `.splat` file.
+/// Reads the Gaussians of a whole `.splat` file.
 ///
 /// # Errors
-/// A length that is no multiple of 32 bytes, and a scale that is negative: files of another kind.
+/// A length that is not a multiple of 32 bytes, or a negative scale: signs of a file of another format.
 pub fn splat(bytes: &[u8]) -> Result<Still, FormatError> {
     within(bytes, &Limits::default())
 }
@@ -43,7 +44,7 @@ impl Reader for Splat {
     }
 }
 
-/// As [`splat`], within other limits.
+/// Reads a file as [`splat`] does, within other limits.
 fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let (records, rest) = bytes.as_chunks::<RECORD>();
     if !rest.is_empty() {
@@ -68,12 +69,12 @@ fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     Ok(still)
 }
 
-/// The logarithm of a standard deviation. NaN stays NaN, and is left out where it is drawn.
+/// Returns the logarithm of a standard deviation. NaN stays NaN; drawing leaves that Gaussian out.
 pub(super) fn deviation(scale: f32) -> f32 {
     if scale.is_nan() { scale } else { ln(f64::from(scale).max(LEAST)) as f32 }
 }
 
-/// The harmonics' first coefficients and the opacity's logit of red, green, blue and opacity over 255.
+/// Converts red, green, blue and opacity, each over 255, to the harmonics' first coefficients and the opacity's logit.
 pub(super) fn colour(rgba: [u8; 4]) -> ([f32; 3], f32) {
     let [red, green, blue, alpha] = rgba.map(|byte| f64::from(byte) / 255.0);
     let opacity = alpha.clamp(LEAST, 1.0 - LEAST);
@@ -139,7 +140,7 @@ mod tests {
             let cosine: f64 = a.iter().zip(b).map(|(a, b)| a * b).sum();
             assert!(cosine.abs() > 1.0 - 1e-4, "{cosine}");
         }
-        // Bytes of what was read are those that were read.
+        // Writing the scene again returns the same bytes.
         assert!(export::still::splat(&again)[..28] == file[..28]);
     }
 

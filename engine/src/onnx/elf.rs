@@ -1,19 +1,19 @@
-//! Checks that a shared library in ELF form is complete.
+//! Check that a shared library in ELF form is complete.
 //!
-//! The system's loader maps the segments that a library's header announces, and a file that ends before they do kills
-//! the process at the first touch; it cannot report it.
+//! The system's loader maps the segments that a library's header declares. If the file ends before them, the first
+//! access kills the process without an error.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
-/// Bytes of the header of a 64-bit file, and of one entry of its segment table.
+/// Bytes of the header of a 64-bit file; `ENTRY`: bytes of an entry of its segment table.
 const HEADER: usize = 64;
 const ENTRY: usize = 56;
 
-/// The number of bytes that a shared library announces, where it is a 64-bit little-endian ELF file; `None` for any
+/// Returns the number of bytes that a shared library declares, if it is a 64-bit little-endian ELF file; `None` for any
 /// other form.
 ///
 /// # Errors
-/// The system's, and a file that ends within its header or segment table.
+/// The system's errors, and a file that ends within its header or segment table.
 pub fn announced_length(file: &mut (impl Read + Seek)) -> io::Result<Option<u64>> {
     let mut start = Vec::new();
     file.by_ref().take(HEADER as u64).read_to_end(&mut start)?;
@@ -26,7 +26,7 @@ pub fn announced_length(file: &mut (impl Read + Seek)) -> io::Result<Option<u64>
     if entry != ENTRY as u64 {
         return Err(io::Error::other(format!("segments are described in {entry} bytes each, expected {ENTRY}")));
     }
-    // As much as is there, of at most 65,535 entries.
+    // As many entries as present, of at most 65,535.
     let length = ENTRY as u64 * count;
     let mut entries = Vec::new();
     file.seek(SeekFrom::Start(table))?;
@@ -38,7 +38,7 @@ pub fn announced_length(file: &mut (impl Read + Seek)) -> io::Result<Option<u64>
     Ok(ends.max())
 }
 
-/// The little-endian number in `bytes[at..at + length]`.
+/// Reads the little-endian number in `bytes[at..at + length]`.
 fn number(bytes: &[u8], at: usize, length: usize) -> u64 {
     bytes[at..at + length].iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte))
 }
@@ -47,7 +47,7 @@ fn number(bytes: &[u8], at: usize, length: usize) -> u64 {
 mod tests {
     use super::*;
 
-    /// A file with one segment of `length` bytes at `offset`, with only its first bytes kept.
+    /// Builds a file with one segment of `length` bytes at `offset`, of which only the first `keep` bytes are kept.
     fn file(offset: u64, length: u64, keep: usize) -> io::Cursor<Vec<u8>> {
         let mut bytes = [0; HEADER + ENTRY];
         bytes[..6].copy_from_slice(b"\x7fELF\x02\x01");

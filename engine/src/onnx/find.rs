@@ -1,4 +1,4 @@
-//! Where ONNX Runtime's shared library is.
+//! Search for ONNX Runtime's shared library.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -16,13 +16,14 @@ const LIBRARY: &str = if cfg!(windows) {
     "libonnxruntime.so"
 };
 
-/// Prints the folder of the package's libraries without importing it. Python runs isolated: neither the working folder
-/// nor the folders of environment variables are searched, so that no foreign file is run; the user's own packages are.
+/// Prints the folder of the package's libraries without importing it. Python runs isolated, so that no foreign file is
+/// executed: it searches the user's own packages, but neither the working folder nor the folders of environment
+/// variables.
 const ASK: &str = "import importlib.util, os, site, sys; sys.path.append(site.getusersitepackages()); \
                    s = importlib.util.find_spec('onnxruntime'); \
                    print(os.path.join(os.path.dirname(s.origin), 'capi') if s and s.origin else '')";
 
-/// The library's file (see the order in the module above), as an absolute path.
+/// Finds the library's file (in the order in the module above), as an absolute path.
 pub(super) fn library() -> Result<PathBuf, OnnxError> {
     if let Some(named) = std::env::var_os("ORT_DYLIB_PATH").filter(|value| !value.is_empty()) {
         let path = PathBuf::from(named);
@@ -57,7 +58,7 @@ fn is_library(name: &str) -> bool {
     }
 }
 
-/// The library in `folder`: of several the last in natural order, which is the newest.
+/// Returns the library in `folder`: of several the last in natural order, which is the newest.
 fn in_folder(folder: &Path) -> Option<PathBuf> {
     let names = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.file_name());
     let mut names: Vec<OsString> = names.filter(|name| name.to_str().is_some_and(is_library)).collect();
@@ -65,7 +66,7 @@ fn in_folder(folder: &Path) -> Option<PathBuf> {
     names.pop().map(|name| folder.join(name)).filter(|path| path.is_file())
 }
 
-/// The library of an installed `onnxruntime` package, or the reason why there is none.
+/// Returns the library of an installed `onnxruntime` package, or the reason why there is none.
 fn in_python() -> Result<PathBuf, String> {
     let mut interpreters = Vec::new();
     if let Some(environment) = std::env::var_os("VIRTUAL_ENV").filter(|value| !value.is_empty()) {

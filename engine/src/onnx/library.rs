@@ -1,7 +1,7 @@
 //! Checks of a shared library before it is used.
 //!
-//! The loader of the `ort` crate trusts the library's entry point; a file of that name which is something else would
-//! end the process. So it is asked here first.
+//! The loader of the `ort` crate trusts the library's entry point: another file of that name would end the process. So
+//! this module checks the library first.
 #![expect(unsafe_code, reason = "a foreign library is opened and its entry point called")]
 
 use std::ffi::CStr;
@@ -16,27 +16,27 @@ use super::{OLDEST, OnnxError, elf};
 /// The entry point of ONNX Runtime (`onnxruntime_c_api.h`).
 type GetApiBase = unsafe extern "C" fn() -> *const OrtApiBase;
 
-/// The version of the library at `path`, which is loaded for a moment.
+/// Returns the version of the library at `path`, which is loaded for the check only.
 ///
 /// # Errors
-/// Files that cannot be loaded or are no ONNX Runtime; versions before [`OLDEST`].
+/// Files that cannot be loaded or are not ONNX Runtime; versions before [`OLDEST`].
 pub(super) fn version(path: &Path) -> Result<String, OnnxError> {
     let broken = |cause: String| OnnxError::Broken { path: path.to_owned(), cause };
     whole(path).map_err(broken)?;
-    // SAFETY: loading runs the library's initialisers. The file is what the user names or has installed as ONNX
-    // Runtime, whose initialisers have no conditions.
+    // SAFETY: loading runs the library's initialisers. The user has named or installed the file as ONNX Runtime, whose
+    // initialisers have no conditions.
     let library = unsafe { Library::new(path) }.map_err(|e| broken(reason(&e)))?;
     // SAFETY: `OrtGetApiBase` has this signature in every version of ONNX Runtime.
     let entry = unsafe { library.get::<GetApiBase>(b"OrtGetApiBase\0") };
     let entry = entry.map_err(|_| broken("it does not export OrtGetApiBase".to_owned()))?;
-    // SAFETY: the function takes nothing and returns a pointer to a constant, or null.
+    // SAFETY: the function takes no arguments and returns a pointer to a constant, or null.
     let base = unsafe { entry().as_ref() }.ok_or_else(|| broken("OrtGetApiBase gives nothing".to_owned()))?;
-    // SAFETY: a member of the constant above; it takes nothing and returns a constant string, or null.
+    // SAFETY: a member of the constant above; it takes no arguments and returns a constant string, or null.
     let text = unsafe { (base.GetVersionString)() };
     if text.is_null() {
         return Err(broken("it tells no version".to_owned()));
     }
-    // SAFETY: not null, and a string that ends in a zero byte as long as the library is loaded, which it is.
+    // SAFETY: not null; a string that ends in a zero byte and lives as long as the library is loaded, which it is.
     let found = unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned();
     match numbers(&found) {
         None => return Err(broken(format!("its version is {found:?}"))),
@@ -50,7 +50,7 @@ pub(super) fn version(path: &Path) -> Result<String, OnnxError> {
     Ok(found)
 }
 
-/// An error where the file cannot be read or is shorter than its header declares.
+/// Returns an error if the file cannot be read or is shorter than its header declares.
 fn whole(path: &Path) -> Result<(), String> {
     let mut file = File::open(path).map_err(|e| e.to_string())?;
     let found = file.metadata().map_err(|e| e.to_string())?.len();
@@ -61,12 +61,12 @@ fn whole(path: &Path) -> Result<(), String> {
     }
 }
 
-/// The loader's message, from the error's source.
+/// Returns the loader's message, from the error's source.
 fn reason(error: &libloading::Error) -> String {
     std::error::Error::source(error).map_or_else(|| error.to_string(), |source| source.to_string())
 }
 
-/// Major and minor number of a version.
+/// Returns major and minor number of a version.
 fn numbers(version: &str) -> Option<(u32, u32)> {
     let mut parts = version.split('.');
     Some((parts.next()?.parse().ok()?, parts.next()?.parse().ok()?))

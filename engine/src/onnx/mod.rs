@@ -1,19 +1,19 @@
 //! Networks in ONNX files, run by ONNX Runtime.
 //!
-//! The runtime's shared library is loaded when the first network is opened; nothing of it is linked and nothing is
-//! downloaded. It is looked for in this order:
+//! The runtime's shared library is loaded when the first network is opened; it is not linked, and nothing is
+//! downloaded. It is searched for in this order:
 //!
-//! 1. the file that the environment variable `ORT_DYLIB_PATH` names (nothing else is tried then);
-//! 2. in the folder of the running program;
-//! 3. in the `onnxruntime` package of Python: that of the virtual environment in `VIRTUAL_ENV`, then of `python3`, then
-//!    of `python`.
+//! 1. the file that the environment variable `ORT_DYLIB_PATH` names (if set, no other place is tried);
+//! 2. the folder of the running program;
+//! 3. the `onnxruntime` package of Python: that of the virtual environment in `VIRTUAL_ENV`, then of `python3`, then of
+//!    `python`.
 //!
-//! Version [`OLDEST`] or newer is needed. A process loads one library, once.
+//! Version [`OLDEST`] or newer is required. A process loads one library, once.
 //!
 //! ONNX Runtime's arithmetic is outside the bit contract: it may differ between its versions and between CPUs. On one
-//! machine with one version the results are the same bits in every run and for any number of threads, because every
-//! network runs on one thread, its nodes one after another, with deterministic kernels: work that is split over several
-//! threads may be summed in another order. The processing of inputs and results is this crate's own arithmetic.
+//! machine with one version, the results have the same bits in every run and for any number of threads. For this, every
+//! network runs on one thread, node after node, with deterministic kernels: work that is split over several threads may
+//! be summed in another order. Inputs and results are processed by this crate's own arithmetic.
 
 mod elf;
 mod find;
@@ -29,14 +29,14 @@ use ort::logging::LogLevel;
 pub use elf::announced_length;
 pub use model::{Layout, Model, Port};
 
-/// The oldest version of ONNX Runtime that can be loaded, as major and minor number.
+/// The oldest supported version of ONNX Runtime, as major and minor number.
 pub const OLDEST: (u32, u32) = (1, ort::MINOR_VERSION);
 
-/// Why a network cannot be run.
+/// Error of loading or running a network.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum OnnxError {
-    /// The library is nowhere.
+    /// The library was not found.
     #[error(
         "ONNX Runtime is not installed: ORT_DYLIB_PATH is not set, there is no {library} in {}, and {python}; \
          install it with: python3 -m pip install 'onnxruntime>={}.{}'",
@@ -50,10 +50,10 @@ pub enum OnnxError {
         /// Result of the search in Python.
         python: String,
     },
-    /// `ORT_DYLIB_PATH` names no file.
+    /// The file in `ORT_DYLIB_PATH` does not exist.
     #[error("ORT_DYLIB_PATH={}: no such file, expected ONNX Runtime's shared library", .0.display())]
     Named(PathBuf),
-    /// The file is no ONNX Runtime.
+    /// The file is not ONNX Runtime.
     #[error(
         "{}: expected ONNX Runtime's shared library, found one that cannot be used: {cause}; \
          install it with: python3 -m pip install --force-reinstall 'onnxruntime>={}.{}'",
@@ -85,19 +85,19 @@ pub enum OnnxError {
         /// Message of the system or the runtime.
         cause: String,
     },
-    /// The network's inputs or outputs are of another form than its use needs.
+    /// The network's inputs or outputs do not have the required form.
     #[error("{}: {what}: expected {expected}, found {found}", path.display())]
     Form {
         /// The network's file.
         path: PathBuf,
         /// The input or output.
         what: String,
-        /// Kinds that can be used.
+        /// Supported kinds.
         expected: String,
         /// The kind found.
         found: String,
     },
-    /// The network fails while it runs.
+    /// The network failed while running.
     #[error("{}: the network failed: {cause}", path.display())]
     Run {
         /// The network's file.
@@ -121,14 +121,14 @@ impl std::fmt::Debug for Runtime {
     }
 }
 
-/// The loaded runtime; a failure may be tried again.
+/// The loaded runtime; a failed load may be tried again.
 static LOADED: Mutex<Option<Runtime>> = Mutex::new(None);
 
 impl Runtime {
     /// Finds and loads the library; later calls return the library that the first one loaded.
     ///
     /// # Errors
-    /// No library, a broken or too old one.
+    /// No library, or one that is broken or too old.
     pub fn load() -> Result<Runtime, OnnxError> {
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(runtime) = &*loaded {
@@ -148,18 +148,18 @@ impl Runtime {
         Ok(loaded.insert(Runtime { environment, path: path.into(), version: version.into() }).clone())
     }
 
-    /// The library's file.
+    /// Returns the library's file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Its version, such as `1.31.1`.
+    /// Returns its version, such as `1.31.1`.
     pub fn version(&self) -> &str {
         &self.version
     }
 }
 
-/// Passes the runtime's messages to the log: an error comes back as a result too.
+/// Passes the runtime's messages to the log. Errors are also returned as results.
 fn log(level: LogLevel, category: &str, _id: &str, _location: &str, message: &str) {
     tracing::debug!(target: "onnxruntime", ?level, category, message);
 }

@@ -13,9 +13,10 @@ use super::{OnnxError, Runtime};
 pub struct Port {
     /// Its name.
     pub name: String,
-    /// Its axes, `None` where the length is left open; nothing unless it is a tensor of 32-bit floats.
+    /// Its axes, `None` where the length is left open. The whole is `None` unless the port is a tensor of 32-bit
+    /// floats.
     pub axes: Option<Vec<Option<usize>>>,
-    /// Type and shape in words.
+    /// Type and shape for messages.
     pub kind: String,
 }
 
@@ -32,14 +33,14 @@ impl Port {
     }
 }
 
-/// Axes of an image that goes into a network.
+/// Axes of an image input.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
     /// Number of leading axes of length 1, before the three of the image.
     pub leading: usize,
     /// True for height, width, colours; false for colours, height, width.
     pub colours_last: bool,
-    /// Height and width, where they are fixed.
+    /// Height and width, if they are fixed.
     pub sides: [Option<usize>; 2],
 }
 
@@ -71,10 +72,10 @@ impl Model {
     /// Loads ONNX Runtime, then the network.
     ///
     /// # Errors
-    /// No usable runtime; a file that is absent or no network that it can run.
+    /// No usable runtime; a file that is missing or is not a network that it can run.
     pub fn open(path: &Path) -> Result<Model, OnnxError> {
         let wrong = |cause: String| OnnxError::Model { path: path.to_owned(), cause };
-        // Before the search for the runtime: a missing file is reported with the system's message.
+        // Checked before the search for the runtime: a missing file is reported with the system's message.
         match std::fs::metadata(path) {
             Err(e) => return Err(wrong(e.to_string())),
             Ok(found) if !found.is_file() => return Err(wrong("it is no file".to_owned())),
@@ -88,27 +89,27 @@ impl Model {
         Ok(Model { path: path.to_owned(), runtime, session, inputs, outputs })
     }
 
-    /// The network's file.
+    /// Returns the network's file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Runtime that runs it.
+    /// Returns the runtime that runs it.
     pub fn runtime(&self) -> &Runtime {
         &self.runtime
     }
 
-    /// Its inputs, in its own order.
+    /// Returns its inputs, in its own order.
     pub fn inputs(&self) -> &[Port] {
         &self.inputs
     }
 
-    /// Its outputs, in its own order.
+    /// Returns its outputs, in its own order.
     pub fn outputs(&self) -> &[Port] {
         &self.outputs
     }
 
-    /// The axes of an image. Where the last one is 3 and that of the colours is not, the colours are last.
+    /// Returns the axes of an image port. If the last axis is 3 and the colour axis is not, colours are last.
     ///
     /// # Errors
     /// A port that is not one image, float `[1, 3, height, width]` or `[1, height, width, 3]` with any axes of length 1
@@ -126,10 +127,10 @@ impl Model {
     /// `output`.
     ///
     /// # Errors
-    /// Errors of the runtime: values that do not fit, memory that is not there.
+    /// Errors of the runtime: values that do not fit, insufficient memory.
     ///
     /// # Panics
-    /// When there are not as many values as inputs, or no such output.
+    /// If the number of inputs is wrong, or `output` does not exist.
     pub fn run(&mut self, inputs: &[(&[usize], &[f32])], output: usize) -> Result<(Vec<usize>, Vec<f32>), OnnxError> {
         assert_eq!(inputs.len(), self.inputs.len(), "one tensor for each input");
         let name = &self.outputs[output].name;
@@ -149,7 +150,7 @@ impl Model {
     }
 }
 
-/// One thread, node after node, deterministic kernels: the same bits for any number of threads of ours.
+/// One thread, node after node, deterministic kernels: the same bits for any number of this program's threads.
 fn commit(runtime: &Runtime, path: &Path) -> ort::Result<Session> {
     Session::builder(&runtime.environment)?
         .with_intra_threads(1)?

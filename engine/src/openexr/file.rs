@@ -1,4 +1,4 @@
-//! Reader: the headers of a file's parts, then the samples of chosen channels.
+//! Reader of OpenEXR: the headers of a file's parts, then the samples of chosen channels.
 
 use std::io::Cursor;
 
@@ -11,10 +11,10 @@ use exr::prelude::{AttributeValue, Text, f16};
 use super::{ExrError, MAX_SAMPLES};
 use crate::picture::size_is_allowed;
 
-/// Most bytes of the block of rows, or of the tile, in which a file is compressed.
+/// Maximum bytes of a compressed unit: a block of rows, or a tile.
 const MAX_BLOCK: usize = 1 << 30;
 
-/// A file whose headers are read.
+/// A file whose headers have been read.
 pub(crate) struct File<'a> {
     bytes: &'a [u8],
     meta: exr::meta::MetaData,
@@ -36,7 +36,7 @@ pub(crate) struct Window {
 /// CIE xy of red, green, blue and white.
 pub(crate) type Chromaticities = [[f64; 2]; 4];
 
-/// One part of a file: its own channels, of one size.
+/// One part of a file, with its own channels of one size.
 #[derive(Clone, Copy)]
 pub(crate) struct Part<'a> {
     number: usize,
@@ -44,7 +44,7 @@ pub(crate) struct Part<'a> {
 }
 
 impl<'a> File<'a> {
-    /// Reads the headers. Sizes are checked before memory is taken.
+    /// Reads the headers. Sizes are checked before memory is allocated.
     pub fn open(bytes: &'a [u8]) -> Result<File<'a>, ExrError> {
         if let Some(code) = foreign_compression(bytes) {
             let name = match code {
@@ -67,13 +67,13 @@ impl<'a> File<'a> {
         Ok(file)
     }
 
-    /// The parts in their order.
+    /// Iterates over the parts in order.
     pub fn parts(&self) -> impl Iterator<Item = Part<'_>> {
         self.meta.headers.iter().enumerate().map(|(number, header)| Part { number, header })
     }
 
-    /// The samples of channels of a part, all at full resolution, in the display window; those outside of the data
-    /// window are `outside`.
+    /// Reads the samples of a part's channels, all at full resolution, in the display window. Samples outside of the
+    /// data window are `outside`.
     pub fn read(&self, part: Part<'_>, channels: &[&str], outside: f32) -> Result<Vec<Vec<f32>>, ExrError> {
         let Part { number, header } = part;
         let (shown, data) = (part.display(), part.data());
@@ -102,7 +102,7 @@ impl<'a> File<'a> {
         }
         let mut planes = vec![vec![outside; area]; channels.len()];
         let (left, top) = (data.left - shown.left, data.top - shown.top);
-        // Columns of the data window that are shown.
+        // Columns of the data window that are inside the display window.
         let columns = (-left).clamp(0, data.width as i64)..(shown.width as i64 - left).clamp(0, data.width as i64);
         let is_shown = |row: i64| (0..shown.height as i64).contains(&row);
         let reader = exr::block::read(Cursor::new(self.bytes), false)?;
@@ -151,40 +151,40 @@ impl<'a> File<'a> {
 }
 
 impl<'a> Part<'a> {
-    /// Its name, or its number where it has none.
+    /// Returns its name, or its index if it has none.
     pub fn name(&self) -> String {
         self.header.own_attributes.layer_name.as_ref().map_or_else(|| format!("part {}", self.number), Text::to_string)
     }
 
-    /// True if its samples are deep: any number for a pixel.
+    /// Returns true if its samples are deep: any number of samples per pixel.
     pub fn is_deep(&self) -> bool {
         self.header.deep
     }
 
-    /// Its channels, and whether they are at full resolution.
+    /// Iterates over its channels; the flag is true at full resolution.
     pub fn channels(&self) -> impl Iterator<Item = (String, bool)> + use<'a> {
         let list = &self.header.channels.list;
         list.iter().map(|channel| (channel.name.to_string(), (channel.sampling.0, channel.sampling.1) == (1, 1)))
     }
 
-    /// The rectangle that is the picture.
+    /// Returns the display window, which is the picture.
     pub fn display(&self) -> Window {
         let bounds = self.header.shared_attributes.display_window;
         window([bounds.position.0, bounds.position.1], [bounds.size.0, bounds.size.1])
     }
 
-    /// The rectangle that has samples.
+    /// Returns the data window, which has samples.
     pub fn data(&self) -> Window {
         let (at, size) = (self.header.own_attributes.layer_position, self.header.layer_size);
         window([at.0, at.1], [size.0, size.1])
     }
 
-    /// A pixel's width to its height.
+    /// Returns the ratio of a pixel's width to its height.
     pub fn pixel_aspect(&self) -> f32 {
         self.header.shared_attributes.pixel_aspect
     }
 
-    /// An attribute that is text.
+    /// Returns a text attribute.
     pub fn text(&self, name: &str) -> Option<String> {
         match self.attribute(name)? {
             AttributeValue::Text(text) => Some(text.to_string()),
@@ -192,7 +192,7 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// An attribute that is a whole number.
+    /// Returns an integer attribute.
     pub fn integer(&self, name: &str) -> Option<i32> {
         match self.attribute(name)? {
             AttributeValue::I32(number) => Some(*number),
@@ -200,7 +200,7 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// Primaries and white.
+    /// Returns primaries and white.
     pub fn chromaticities(&self) -> Option<Chromaticities> {
         let found = self.header.shared_attributes.chromaticities?;
         Some([found.red, found.green, found.blue, found.white].map(|xy| [f64::from(xy.0), f64::from(xy.1)]))
@@ -217,9 +217,9 @@ fn window([left, top]: [i32; 2], [width, height]: [usize; 2]) -> Window {
     Window { left: i64::from(left), top: i64::from(top), width, height }
 }
 
-/// The code of the first header's compression where it is none that is read here.
+/// Returns the code of the first header's compression if it is not supported here.
 fn foreign_compression(bytes: &[u8]) -> Option<u8> {
-    /// Codes up to DWAB.
+    /// Code of DWAB, the last known one.
     const KNOWN: u8 = 9;
     let mut rest = bytes.get(8..)?;
     loop {
@@ -237,7 +237,7 @@ fn foreign_compression(bytes: &[u8]) -> Option<u8> {
     }
 }
 
-/// Bytes up to the next zero, which is taken as well.
+/// Reads bytes up to the next zero, which is consumed as well.
 fn text<'a>(rest: &mut &'a [u8]) -> Option<&'a [u8]> {
     let length = rest.iter().position(|&byte| byte == 0)?;
     let (text, after) = rest.split_at(length);

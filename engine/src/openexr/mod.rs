@@ -1,8 +1,8 @@
-//! OpenEXR files: planes of float samples in and out.
+//! Reading and writing of OpenEXR files: planes of float samples.
 //!
-//! Reading takes channels at full resolution as f32 from any stored type, in the display window: that is the picture,
-//! for any data window. Writing makes layers of f32 channels, ZIP compressed in single lines, always by one thread: the
-//! bytes are a function of the samples.
+//! Reading converts full-resolution channels of any stored type to f32, in the display window, whatever the data window
+//! is. Writing produces layers of f32 channels, ZIP-compressed line by line, always on one thread: the bytes are a
+//! function of the samples.
 
 mod file;
 
@@ -14,7 +14,7 @@ use exr::prelude::*;
 use crate::picture::MAX_PIXELS;
 pub(crate) use file::{Chromaticities, File, Part};
 
-/// Most samples of all channels of a layer: those of four at the largest size, colour and alpha.
+/// Maximum number of samples in all channels of a layer: four channels, colour and alpha, at the largest size.
 const MAX_SAMPLES: usize = 4 * MAX_PIXELS;
 
 /// Named planes of one size.
@@ -29,13 +29,13 @@ pub struct Planes {
 }
 
 impl Planes {
-    /// The samples of the channel called `name`.
+    /// Returns the samples of the channel called `name`.
     pub fn channel(&self, name: &str) -> Option<&[f32]> {
         self.channels.iter().find(|(n, _)| n == name).map(|(_, samples)| samples.as_slice())
     }
 }
 
-/// Why an EXR file cannot be read.
+/// Error of reading an EXR file.
 #[derive(Debug, thiserror::Error)]
 pub enum ExrError {
     /// Not an EXR file, or a broken one.
@@ -46,17 +46,17 @@ pub enum ExrError {
         "expected EXR compression none, RLE, ZIP, PIZ, PXR24, B44 or DWA, found {0}; oiiotool IN --compression zip -o OUT converts it"
     )]
     Compression(String),
-    /// Larger than this program decodes.
+    /// A picture above the size limit.
     #[error("the picture is {0}×{1}, larger than this program decodes")]
     TooLarge(usize, usize),
-    /// More samples in all channels together than this program decodes.
+    /// More samples in all channels together than the limit.
     #[error("the picture has {channels} channels of {width}×{height}, expected at most {MAX_SAMPLES} samples in all")]
     Channels {
         /// Pixels per row.
         width: usize,
         /// Rows.
         height: usize,
-        /// Channels.
+        /// Number of channels.
         channels: usize,
     },
 }
@@ -67,8 +67,8 @@ impl From<exr::error::Error> for ExrError {
     }
 }
 
-/// Decodes the first part of an EXR file that is not deep from memory, in its display window; samples outside of the
-/// data window are 0. The size is checked before memory is taken.
+/// Decodes, from memory, the first part of an EXR file that is not deep, in its display window. Samples outside of the
+/// data window are 0. The size is checked before memory is allocated.
 ///
 /// # Errors
 /// Broken, deep or oversized files.
@@ -88,16 +88,16 @@ pub fn read(bytes: &[u8]) -> std::result::Result<Planes, ExrError> {
     Ok(Planes { width: window.width, height: window.height, channels: names.into_iter().zip(planes).collect() })
 }
 
-/// Encodes planes as an EXR file, `comment` in its attributes.
+/// Encodes planes as an EXR file, with `comment` in its attributes.
 ///
 /// # Errors
-/// The writer's, and planes whose length is not `width · height`.
+/// The writer's errors, and planes whose length is not `width · height`.
 pub fn write(planes: &Planes, comment: &str, out: &mut impl Write) -> std::io::Result<()> {
     let layer = encode(planes, LayerAttributes { comments: Text::new_or_none(comment), ..LayerAttributes::default() })?;
     finish(&Image::from_layer(layer), out)
 }
 
-/// A layer of a file that has several.
+/// A layer of a file with several.
 #[derive(Clone, Debug)]
 pub struct NamedLayer<'a> {
     /// Its name.
@@ -106,15 +106,15 @@ pub struct NamedLayer<'a> {
     pub planes: Planes,
     /// Meaning of the samples.
     pub comment: &'a str,
-    /// The colour space, as the attribute `oiio:ColorSpace` calls it.
+    /// The colour space, as the value of the attribute `oiio:ColorSpace`.
     pub colour_space: Option<&'a str>,
 }
 
-/// Encodes layers of one size as one EXR file, a part for each in their order; readers that support one layer alone
-/// take the first.
+/// Encodes layers of one size as one EXR file, each as a part, in order. Readers that support only one layer read the
+/// first.
 ///
 /// # Errors
-/// The writer's, planes whose length is not `width · height`, and layers of different sizes.
+/// The writer's errors, planes whose length is not `width · height`, and layers of different sizes.
 pub fn write_layers(layers: &[NamedLayer<'_>], out: &mut impl Write) -> std::io::Result<()> {
     let size = |layer: &NamedLayer<'_>| (layer.planes.width, layer.planes.height);
     let (width, height) =
@@ -132,7 +132,7 @@ pub fn write_layers(layers: &[NamedLayer<'_>], out: &mut impl Write) -> std::io:
             layer.colour_space.map(|space| (Text::from("oiio:ColorSpace"), AttributeValue::Text(Text::from(space))));
         let attributes = LayerAttributes {
             comments: Text::new_or_none(layer.comment),
-            // At most one: the order of several would not be fixed.
+            // At most one attribute: the order of several would not be fixed.
             other: space.into_iter().collect(),
             ..LayerAttributes::named(layer.name)
         };
@@ -142,7 +142,7 @@ pub fn write_layers(layers: &[NamedLayer<'_>], out: &mut impl Write) -> std::io:
     finish(&Image::from_layers(ImageAttributes::new(window), encoded), out)
 }
 
-/// A layer of f32 channels, sorted by name.
+/// Builds a layer of f32 channels, sorted by name.
 fn encode(planes: &Planes, attributes: LayerAttributes) -> std::io::Result<Layer<AnyChannels<FlatSamples>>> {
     let size = planes.width * planes.height;
     let mut list = SmallVec::new();
@@ -165,7 +165,7 @@ fn finish<'i, L>(image: &'i Image<L>, out: &mut impl Write) -> std::io::Result<(
 where
     L: WritableLayers<'i> + 'i,
 {
-    // The encoder needs to seek; a file may be a pipe.
+    // The encoder needs to seek, and the output may be a pipe.
     let mut bytes = Cursor::new(Vec::new());
     image.write().non_parallel().to_buffered(&mut bytes).map_err(|e| std::io::Error::other(e.to_string()))?;
     out.write_all(bytes.get_ref())

@@ -1,22 +1,22 @@
-//! Bodies: connected parts of the picture that move by themselves. Each has one depth.
+//! Bodies: connected parts of the picture that move independently. Each has one depth.
 //!
-//! The distance of a thing that moves by itself cannot be computed from two views, because its own motion looks like
-//! parallax. That it moves can be detected where its flow is off the epipolar lines, and its distance follows from the
+//! The distance of an independently moving object cannot be computed from two views, because its own motion looks like
+//! parallax. Its motion can be detected where its flow leaves the epipolar lines, and its distance follows from the
 //! ground under it.
 //!
-//! 1. *Seeds* are cells whose match certainly fits no place of a thing at rest; *hints* are those where this is likely.
-//!    A component of hints, with gaps of up to twice [`GAP`] cells closed, is a body if [`SEEDS`] of it are seeds.
-//!    Cells that belonged to a body at the key frame before count as seeds until their score, which falls by a fifth
-//!    with each key frame without enough seeds of its own, is below [`STILL_BODY`].
+//! 1. *Seeds* are cells whose match certainly fits no point at rest; *hints* are cells where this is likely. Gaps
+//!    between hints of up to twice [`GAP`] cells are closed. A component of hints is a body if [`SEEDS`] of it are
+//!    seeds. Cells that belonged to a body at the previous key frame count as seeds while their score is at least
+//!    [`STILL_BODY`]. The score falls by a fifth with each key frame without enough seeds of its own.
 //! 2. A body grows, by at most a part of its size, over cells whose flow is nearer to its own (an affine field by least
 //!    squares) than to that of the surroundings in the same rows.
-//! 3. Its inverse depth is that of the ground right under its lowest cells; where none is known there, that of the
-//!    nearest quarter of what is around it. What it had at the key frame before is followed with half the weight. Where
-//!    nothing is known at all it stays a hole.
-//! 4. Parts that seem nearer than the body they touch, and do not reach below it, are its own: they move along the
-//!    epipolar lines.
+//! 3. Its inverse depth is that of the ground right under its lowest cells; if that is unknown, that of the nearest
+//!    quarter of its surroundings. It is averaged, with equal weights, with the body's inverse depth from the previous
+//!    key frame. If neither is known, the body stays a hole.
+//! 4. Connected parts that seem nearer than the body they touch, and do not reach below it, belong to it: they move
+//!    along the epipolar lines.
 //!
-//! A body that moves along the epipolar lines as a whole is not detected: in two views it equals a thing at rest at
+//! A body that moves along the epipolar lines as a whole is not detected: in two views it equals an object at rest at
 //! another distance.
 
 use std::ops::Range;
@@ -25,26 +25,27 @@ use super::filter::weighted_median;
 use super::triangulate::Cell;
 use super::{CELL, Sight};
 
-/// Least share of the picture of a body.
+/// Minimum size of a body, as a fraction of the picture.
 const LEAST: f64 = 0.002;
 /// Half the width of the gaps that are closed between hints, in cells.
 const GAP: usize = 2;
-/// Least share of a body's cells that are seeds. Errors of flow over things at rest cause many hints and few seeds.
+/// Minimum fraction of seeds among a body's cells. Errors of the flow over objects at rest cause many hints and few
+/// seeds.
 const SEEDS: f64 = 0.25;
-/// Rows of cells under a body in which the ground is looked for.
+/// Number of rows under a body that are searched for the ground.
 const UNDER: usize = 6;
 /// Confidence of a body's depth.
 const CONFIDENCE: f32 = 0.5;
-/// Least score of a cell that still counts as a body's.
+/// Minimum score of a cell that still counts as part of a body.
 pub(super) const STILL_BODY: f32 = 0.4;
-/// Ratio of inverse depths from which on a part seems nearer than its body.
+/// Ratio of inverse depths above which a part seems nearer than its body.
 const NEARER: f32 = 1.2;
-/// Largest size of such a part, in sizes of the body.
+/// Maximum size of this part, relative to the body.
 const PART: f64 = 0.4;
-/// Rows of the surroundings that are compared with a row, to both sides.
+/// Rows of the surroundings that are averaged on each side of a row.
 const BAND: usize = 3;
 
-/// Gives each body its depth, from this interval's cells and those of the frame before, carried along the flow.
+/// Assigns each body its depth, from this interval's cells and those of the previous frame, carried along the flow.
 pub(super) fn settle(cells: &mut [Cell], carried: Option<&[Cell]>, sight: &Sight<'_>) {
     let [rows, columns] = sight.grid;
     let was = |at: usize| carried.is_some_and(|carried| carried[at].body >= STILL_BODY);
@@ -87,12 +88,12 @@ pub(super) fn settle(cells: &mut [Cell], carried: Option<&[Cell]>, sight: &Sight
     }
 }
 
-/// Numbers of `0..side` at most `reach` from `i`.
+/// Returns the numbers of `0..side` at most `reach` from `i`.
 fn near(i: usize, side: usize, reach: usize) -> Range<usize> {
     i.saturating_sub(reach)..(i + reach + 1).min(side)
 }
 
-/// Cells with one of the mask within `reach` rows and columns.
+/// Returns the cells with a cell of the mask within `reach` rows and columns (a dilation).
 fn spread(mask: &[bool], [rows, columns]: [usize; 2], reach: usize) -> Vec<bool> {
     let across: Vec<bool> = (0..mask.len())
         .map(|at| near(at % columns, columns, reach).any(|column| mask[at / columns * columns + column]))
@@ -100,13 +101,14 @@ fn spread(mask: &[bool], [rows, columns]: [usize; 2], reach: usize) -> Vec<bool>
     (0..mask.len()).map(|at| near(at / columns, rows, reach).any(|row| across[row * columns + at % columns])).collect()
 }
 
-/// The mask with its gaps of at most twice `reach` filled: spread, and taken back by as much (a morphological closing).
+/// Returns the mask with gaps of at most twice `reach` filled: dilated, then eroded by the same amount (a morphological
+/// closing).
 fn closed(mask: &[bool], grid: [usize; 2], reach: usize) -> Vec<bool> {
     let outside: Vec<bool> = spread(mask, grid, reach).into_iter().map(|inside| !inside).collect();
     spread(&outside, grid, reach).into_iter().map(|outside| !outside).collect()
 }
 
-/// The cells of the mask that are connected with `first`, ascending.
+/// Returns the cells of the mask that are connected with `first`, ascending.
 fn connected(mask: &[bool], taken: &mut [bool], first: usize, [rows, columns]: [usize; 2]) -> Vec<usize> {
     let (mut body, mut next) = (Vec::new(), vec![first]);
     taken[first] = true;
@@ -123,7 +125,7 @@ fn connected(mask: &[bool], taken: &mut [bool], first: usize, [rows, columns]: [
     body
 }
 
-/// The four neighbours of a cell.
+/// Iterates over the four neighbours of a cell.
 fn around(at: usize, [rows, columns]: [usize; 2]) -> impl Iterator<Item = usize> {
     let (row, column) = (at / columns, at % columns);
     [
@@ -136,13 +138,13 @@ fn around(at: usize, [rows, columns]: [usize; 2]) -> impl Iterator<Item = usize>
     .flatten()
 }
 
-/// The flow at a cell, in pixels of a picture 512 wide.
+/// Returns the flow at a cell, in pixels of a picture 512 wide.
 fn flow(at: usize, sight: &Sight<'_>) -> [f64; 2] {
     let [x, y] = sight.middle(at);
     sight.evidence.there.at(x, y).map(|d| f64::from(d) / sight.unit)
 }
 
-/// Adds cells around a body that move with it rather than with what is around it.
+/// Adds cells around a body that move with the body rather than with the surroundings.
 fn grow(body: &mut Vec<usize>, owner: &mut [usize], index: usize, sight: &Sight<'_>) {
     let [rows, columns] = sight.grid;
     let place = |at: usize| [(at % columns * CELL) as f64 / sight.unit, (at / columns * CELL) as f64 / sight.unit];
@@ -197,7 +199,7 @@ fn grow(body: &mut Vec<usize>, owner: &mut [usize], index: usize, sight: &Sight<
 }
 
 /// Adds connected cells that touch a body and seem nearer than it, if they are at most [`PART`] of its size and end
-/// above its lowest row.
+/// above or on its lowest row.
 fn nearer_parts(
     cells: &[Cell],
     body: &mut Vec<usize>,
@@ -228,7 +230,7 @@ fn nearer_parts(
     body.sort_unstable();
 }
 
-/// The affine field nearest to some flow at some places; `None` where these do not determine it.
+/// Returns the affine field that fits the flow at some points best; `None` if the points do not determine it.
 fn affine(points: &[([f64; 2], [f64; 2])]) -> Option<impl Fn([f64; 2]) -> [f64; 2] + use<>> {
     let (mut x, mut y) = (super::linear::Normal::<3>::new(), super::linear::Normal::<3>::new());
     let (mut count, mut middle) = (0.0, [0.0; 2]);
@@ -251,7 +253,7 @@ fn affine(points: &[([f64; 2], [f64; 2])]) -> Option<impl Fn([f64; 2]) -> [f64; 
     })
 }
 
-/// The inverse depth of a body.
+/// Returns the inverse depth of a body.
 fn depth(
     cells: &[Cell],
     body: &[usize],
@@ -278,14 +280,15 @@ fn depth(
         let around = spread(&inside, [rows, columns], UNDER);
         let outside = (0..cells.len()).filter(|at| around[*at] && owner[*at] == usize::MAX);
         let mut ring: Vec<(f32, f32)> = outside.map(|at| (cells[at].inverse, cells[at].confidence)).collect();
-        // The nearest quarter of what is around it, or the nearest eighth where the picture cuts off its feet.
+        // The nearest quarter of the surroundings, or the nearest eighth where the picture's lower edge cuts the body
+        // off.
         for _ in 0..if bottom + 1 == rows { 2 } else { 1 } {
             let half = weighted_median(ring.iter().copied())?;
             ring.retain(|(inverse, _)| *inverse >= half);
         }
         weighted_median(ring.into_iter())
     });
-    // In this interval's scale: the ratio of what surrounds bodies, now and then.
+    // In this interval's scale: the median ratio of the current to the previous inverse depth outside bodies.
     let before = carried.and_then(|carried| {
         let ratio = |at: usize| {
             let (now, then) = (cells[at], carried[at]);

@@ -1,9 +1,8 @@
-//! Epipolar geometry: how far matches lie from where a motion of the camera allows them, and the motion of the least
-//! distance.
+//! Epipolar geometry: the distance of matches from a camera motion's epipolar lines, and the motion of least distance.
 //!
-//! With `y = R·x₁` a match fits if `e = x₂·(t × y)` is zero; Sampson's distance (Hartley & Zisserman 11.4.3) is `e / s`
+//! With `y = R·x₁` a match fits if `e = x₂·(t × y)` is zero. Sampson's distance (Hartley & Zisserman 11.4.3) is `e / s`
 //! with `s² = (E·x₁)₁² + (E·x₁)₂² + (Eᵀ·x₂)₁² + (Eᵀ·x₂)₂²`, `E = [t]ₓR`. Motions are refined by Gauss–Newton over five
-//! numbers, a turn `δ` and two components of `t` across itself, `s` held:
+//! numbers, a rotation `δ` and two components of `t` perpendicular to `t`, with `s` held constant:
 //!
 //! ```text
 //! ∂e/∂δ = y × (x₂ × t)        ∂e/∂t = y × x₂
@@ -15,17 +14,17 @@ use super::Motion;
 use super::linear::Normal;
 use super::matches::Match;
 
-/// Longest step of a turn or of the translation's direction.
+/// Maximum step of a rotation or of the translation's direction.
 const LONGEST: f64 = 0.2;
 
-/// A turn by about `δ` (Cayley's map: no trigonometry).
+/// Returns a rotation by about `δ` (Cayley's map: no trigonometry).
 pub(super) fn turn(delta: DVec3) -> DMat3 {
     let half = 0.5 * delta;
     let norm = (1.0 + half.length_squared()).sqrt();
     DMat3::from_quat(DQuat::from_xyzw(half.x / norm, half.y / norm, half.z / norm, 1.0 / norm))
 }
 
-/// e and s of a match.
+/// Returns e and s of a match.
 fn terms(motion: &Motion, m: &Match) -> (f64, f64) {
     let Motion { rotation, translation } = motion;
     let line = translation.cross(*rotation * m.one);
@@ -34,13 +33,13 @@ fn terms(motion: &Motion, m: &Match) -> (f64, f64) {
     (m.other.dot(line), (s + 1e-24).sqrt())
 }
 
-/// Sampson's distance of a match.
+/// Returns Sampson's distance of a match.
 pub(super) fn distance(motion: &Motion, m: &Match) -> f64 {
     let (e, s) = terms(motion, m);
     e / s
 }
 
-/// `Σ w·d²/(d² + fits²)` over the matches.
+/// Returns `Σ w·d²/(d² + fits²)` over the matches.
 pub(super) fn cost<'a>(motion: &Motion, matches: impl Iterator<Item = &'a Match>, fits: f64) -> f64 {
     matches.fold(0.0, |sum, m| {
         let d = distance(motion, m);
@@ -48,7 +47,7 @@ pub(super) fn cost<'a>(motion: &Motion, matches: impl Iterator<Item = &'a Match>
     })
 }
 
-/// The motion after `rounds` steps towards the least cost; `None` where the matches do not determine it.
+/// Returns the motion after `rounds` steps towards the least cost; `None` if the matches do not determine it.
 pub(super) fn refine<'a>(
     mut motion: Motion,
     matches: impl Iterator<Item = &'a Match> + Clone,
@@ -80,7 +79,7 @@ pub(super) fn refine<'a>(
     Some(motion)
 }
 
-/// Two directions across `t` and each other.
+/// Returns two directions perpendicular to `t` and to each other.
 fn across(t: DVec3) -> (DVec3, DVec3) {
     let a = t.abs();
     let axis = if a.x <= a.y && a.x <= a.z {
@@ -95,7 +94,7 @@ fn across(t: DVec3) -> (DVec3, DVec3) {
     (u, t.cross(u))
 }
 
-/// The turn that best explains all matches alone, with robust weights.
+/// Returns the rotation that alone explains all matches best, with robust weights.
 pub(super) fn rotation(matches: &[Match], fits: f64) -> Option<DMat3> {
     let mut rotation = DMat3::IDENTITY;
     for _ in 0..12 {
@@ -113,17 +112,17 @@ pub(super) fn rotation(matches: &[Match], fits: f64) -> Option<DMat3> {
     Some(rotation)
 }
 
-/// How well a motion explains all matches.
+/// Agreement of a motion with all matches.
 pub(super) struct Fit {
-    /// Share of the matches, by weight, that fit.
+    /// Fraction of the matches, by weight, that fit.
     pub(super) share: f64,
-    /// Share of those that lie before the camera.
+    /// Fraction of those that are in front of the camera.
     pub(super) ahead: f64,
     /// The median length of their parallax, in units of the focal length.
     pub(super) parallax: f64,
 }
 
-/// Measures how well a motion explains the matches.
+/// Measures the agreement of a motion with the matches.
 pub(super) fn fit(motion: &Motion, matches: &[Match], fits: f64) -> Fit {
     let (mut all, mut fit, mut ahead) = (0.0, 0.0, 0.0);
     let mut lengths = Vec::with_capacity(matches.len());

@@ -1,18 +1,18 @@
 //! Smoothing that stops at edges of the picture and fills cells without a value.
 //!
-//! The domain transform's recursive filter (Gastal & Oliveira 2011, section 4.2.3) runs over `c·ρ` and `c`, row by row
-//! and column by column, to and fro, three times with falling width; their quotient is the filled map.
+//! The domain transform's recursive filter (Gastal & Oliveira 2011, section 4.2.3) is applied to `c·ρ` and to `c`:
+//! along rows and columns, forwards and backwards, three times with decreasing width. Their quotient is the filled map.
 
 use streamsplat_kernels::math::scalar::exp_nonpositive;
 
 /// Width of the filter, in cells.
 const SPACE: f32 = 20.0;
-/// Width of the filter, in sums of the colours' differences.
+/// Width of the filter, as a sum of colour differences.
 const RANGE: f32 = 0.3;
 /// Widths of the passes in units of σ, `√3·2^(n−i−1) / √(4ⁿ−1)` with n = 3.
 const WIDTHS: [f32; 3] = [0.872_871_6, 0.436_435_8, 0.218_217_9];
 
-/// `inverse` weighted by `confidence` and smoothed, at every cell. `colours` are `[rows·columns]`.
+/// Returns `inverse`, weighted by `confidence` and smoothed, at every cell. `colours` are `[rows·columns]`.
 pub(super) fn fill(inverse: &[f32], confidence: &[f32], colours: &[[f32; 3]], [rows, columns]: [usize; 2]) -> Vec<f32> {
     let mut planes: Vec<[f32; 2]> = inverse.iter().zip(confidence).map(|(v, c)| [v * (c + 1e-9), c + 1e-9]).collect();
     let far = |a: usize, b: usize| {

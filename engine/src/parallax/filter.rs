@@ -1,4 +1,4 @@
-//! Inverse depth over intervals: earlier cells go along with the flow, in one scale.
+//! Inverse depth over intervals: earlier cells are carried along the flow, in one scale.
 
 use streamsplat_kernels::{Level, resize};
 
@@ -8,13 +8,13 @@ use crate::stream::{map_value, scene_depth};
 
 /// Largest inverse depth kept, in units of the first median.
 pub(super) const NEAREST: f32 = 20.0;
-/// Share of its confidence that an inverse depth keeps from a key frame to the next.
+/// Fraction of its confidence that an inverse depth keeps from one key frame to the next.
 const KEEPS: f32 = 0.8;
-/// Largest confidence.
+/// Maximum confidence.
 const MOST: f32 = 16.0;
-/// Share of the way that the nearest depth goes to the new one at a key frame.
+/// Fraction of the difference by which the nearest depth approaches the new one at a key frame.
 const ADAPTS: f32 = 0.25;
-/// Least mean confidence of something found.
+/// Minimum mean confidence of a valid result.
 const LEAST: f32 = 0.02;
 
 /// Inverse depth of a key frame's cells and its confidence: the state carried from key frame to key frame.
@@ -24,19 +24,19 @@ pub struct Found {
     pub grid: [usize; 2],
     /// Inverse depth per cell, in one scale for the whole stream.
     pub inverse: Vec<f32>,
-    /// Per cell; 0: no value.
+    /// Confidence per cell; 0: no value.
     pub confidence: Vec<f32>,
-    /// Per cell, from 0 to 1: 1 where a body moves by itself, less for each key frame since.
+    /// Score per cell, from 0 to 1: 1 where a body moves independently, less for each key frame since.
     pub body: Vec<f32>,
     /// Inverse depth that counts as nearest.
     pub nearest: f32,
 }
 
 impl Found {
-    /// The map `[H, W]` of the frame `[3, H, W]`: holes filled, 0 farthest, 1 nearest. Inverse depth, with a known
-    /// zero, keeps its proportions in a [lifted](crate::stream) scene: `9.8·y + 0.2 ∝ ρ`.
+    /// Returns the map `[H, W]` of the frame `[3, H, W]`: holes filled, 0 farthest, 1 nearest. Since the zero of the
+    /// inverse depth is known, its ratios are kept in a [lifted](crate::stream) scene: `9.8·y + 0.2 ∝ ρ`.
     pub fn map(&self, level: Level, rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
-        // 1/z of the nearest place of a lifted scene.
+        // 1/z of the nearest point of a lifted scene.
         let unit = 1.0 / scene_depth(1.0) / self.nearest.max(f32::MIN_POSITIVE);
         let value = |inverse: &f32| map_value(1.0 / (unit * inverse).max(1e-3)).clamp(0.0, 1.0);
         let filled: Vec<f32> = self.filled(rgb, [height, width]).iter().map(value).collect();
@@ -47,7 +47,7 @@ impl Found {
         large.chunks(wide).take(height).flat_map(|row| &row[..width]).copied().collect()
     }
 
-    /// Inverse depth with its holes filled.
+    /// Returns the inverse depth with its holes filled.
     fn filled(&self, rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
         let area = height * width;
         let colour = |cell: usize| {
@@ -67,7 +67,8 @@ impl Found {
         fill::fill(&self.inverse, &self.confidence, &colours, self.grid)
     }
 
-    /// Expected and found values, if this cannot be a result of [`find`](super::find) for pictures of this size.
+    /// Returns expected and found values, if this cannot be a result of [`find`](super::find) for pictures of this
+    /// size.
     pub fn contradiction(&self, size: [usize; 2]) -> Option<String> {
         let grid = size.map(|side| side.div_ceil(CELL));
         let count = grid[0].checked_mul(grid[1]);
@@ -85,7 +86,7 @@ impl Found {
     }
 }
 
-/// Cells of the earlier picture at the places of this one's cells, and the nearest inverse depth.
+/// Returns the earlier picture's cells at the positions of this picture's cells, and the nearest inverse depth.
 pub(super) fn carry(found: &Found, sight: &Sight<'_>) -> Option<(Vec<Cell>, f32)> {
     if found.grid != sight.grid {
         return None;
@@ -111,8 +112,8 @@ pub(super) fn carry(found: &Found, sight: &Sight<'_>) -> Option<(Vec<Cell>, f32)
     Some((cells.collect(), found.nearest))
 }
 
-/// Joins the cells of this interval with the carried ones, in the scale of the latter where there are any; `None` where
-/// both have too little.
+/// Joins the cells of this interval with the carried ones, in the scale of the carried ones if there are any. Returns
+/// `None` if both together have too little confidence.
 pub(super) fn join(
     now: Option<Vec<Cell>>,
     carried: Option<Option<(Vec<Cell>, f32)>>,
@@ -134,8 +135,8 @@ pub(super) fn join(
                     for (now, then) in now.iter_mut().zip(&carried) {
                         let whole = now.confidence + then.confidence;
                         if now.body > 0.0 || then.body >= bodies::STILL_BODY {
-                            // A body's depth includes that of the key frame before; what was a body's is no other
-                            // thing's.
+                            // A body's depth already includes that of the previous key frame, and a body's former depth
+                            // is not averaged into another object.
                             now.inverse = (now.inverse * scale).min(NEAREST);
                         } else if whole > 0.0 {
                             let sum = (now.inverse * scale).mul_add(now.confidence, then.inverse * then.confidence);
@@ -165,11 +166,11 @@ pub(super) fn join(
     let part = |share: usize| filled[(filled.len() - 1) * share / 100];
     let [far, near] = [part(1), part(99)];
     found.nearest = nearest.map_or(near, |then| ADAPTS.mul_add(near - then, then));
-    // A constant depth is no information.
+    // A constant depth carries no information.
     (near > 1.05 * far).then_some(found)
 }
 
-/// The value at which half of the weights lie below; `None` without any weight.
+/// Returns the weighted median; `None` without any weight.
 pub(super) fn weighted_median(values: impl Iterator<Item = (f32, f32)>) -> Option<f32> {
     let mut values: Vec<(f32, f32)> = values.filter(|(v, w)| v.is_finite() && *w > 0.0).collect();
     values.sort_by(|a, b| a.0.total_cmp(&b.0));

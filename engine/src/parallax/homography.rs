@@ -1,4 +1,4 @@
-//! Homographies: pictures of one plane, or of anything by a camera that turns.
+//! Homographies: the motion of one plane, or of any scene under a camera that only turns.
 
 use super::linear::Normal;
 use super::matches::Match;
@@ -6,13 +6,13 @@ use super::matches::Match;
 /// Rounds of weighting.
 const ROUNDS: usize = 10;
 
-/// The share of the matches, by weight, that the best homography brings to within `fits`; a homography is fitted by
-/// least squares with weights that fall with the distance.
+/// Returns the fraction of the matches, by weight, that the best homography maps to within `fits`. The homography is
+/// fitted by least squares with weights that decrease with the distance.
 pub(super) fn share(matches: &[Match], fits: f64) -> f64 {
     let mut h = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
     for round in 0..ROUNDS {
         let mut normal = Normal::<8>::new();
-        // From loose to tight.
+        // The scale changes from loose to tight.
         let scale = fits * if round < ROUNDS / 2 { 8.0 } else { 2.0 };
         for m in matches {
             let (x, y, u, v) = (m.one.x, m.one.y, m.other.x, m.other.y);

@@ -1,7 +1,7 @@
 //! Small symmetric systems.
 
-/// The solution of `A·x = b` by Cholesky's method, with a little added along the diagonal; `None` where `A` is not
-/// positive definite or a number is not finite.
+/// Solves `A·x = b` by Cholesky's method, with a small value added on the diagonal; `None` if `A` is not positive
+/// definite or a number is not finite.
 pub(super) fn solve<const N: usize>(mut a: [[f64; N]; N], mut b: [f64; N]) -> Option<[f64; N]> {
     let trace: f64 = (0..N).map(|i| a[i][i]).sum();
     for (i, row) in a.iter_mut().enumerate() {

@@ -6,14 +6,14 @@ use super::Sight;
 
 /// Pixels between matches.
 const STEP: usize = 8;
-/// Least share of the grid that must have a match.
+/// Minimum fraction of the grid that must have a match.
 const LEAST: f64 = 0.25;
-/// Eigenvalue of the structure tensor, in (grey levels per pixel)², of a texture that is half trusted.
+/// Eigenvalue of the structure tensor, in (grey levels per pixel)², at which the weight of the texture is ½.
 const HALF: f32 = 2.0;
-/// Pixels to either side over which the structure tensor is averaged.
+/// Pixels on each side over which the structure tensor is averaged.
 const RADIUS: usize = 4;
 
-/// A direction in one picture and in the other, third component 1.
+/// Directions in one picture (`one`) and in the other, with a third component of 1.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Match {
     pub(super) one: DVec3,
@@ -21,7 +21,7 @@ pub(super) struct Match {
     pub(super) weight: f64,
 }
 
-/// Matches of every [`STEP`]-th pixel where the flow back undoes the flow; `None` where these are few.
+/// Returns the matches of every [`STEP`]-th pixel where backward and forward flow agree; `None` if there are too few.
 pub(super) fn of(sight: &Sight<'_>) -> Option<Vec<Match>> {
     let field = sight.evidence.there;
     let [height, width] = field.size;
@@ -45,14 +45,14 @@ pub(super) fn of(sight: &Sight<'_>) -> Option<Vec<Match>> {
     (matches.len() >= 32 && matches.len() as f64 >= LEAST * all as f64).then_some(matches)
 }
 
-/// The median length of the flow, in units of the focal length.
+/// Returns the median length of the flow, in units of the focal length.
 pub(super) fn median_length(matches: &[Match]) -> f64 {
     let mut lengths: Vec<f64> = matches.iter().map(|m| (m.other - m.one).length()).collect();
     lengths.sort_by(f64::total_cmp);
     lengths[lengths.len() / 2]
 }
 
-/// `λ / (λ + 2)` of each pixel, λ the lesser eigenvalue of the structure tensor around it.
+/// Returns `λ / (λ + 2)` of each pixel, where λ is the smaller eigenvalue of the structure tensor around it.
 pub(super) fn texture(rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
     let area = height * width;
     let (red, rest) = rgb.split_at(area);
@@ -80,7 +80,7 @@ pub(super) fn texture(rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
     (0..area).map(of).collect()
 }
 
-/// Means over squares, the border left out.
+/// Returns means over squares; the border is left out.
 fn mean(plane: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
     let span = |i: usize, side: usize| i.saturating_sub(RADIUS)..(i + RADIUS + 1).min(side);
     let mut across = vec![0.0; plane.len()];

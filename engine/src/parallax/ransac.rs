@@ -1,4 +1,4 @@
-//! The camera's motion by random samples: a fixed number of draws, the same for every machine.
+//! The camera's motion by random samples: a fixed number of draws, the same on every machine.
 
 use glam::DVec3;
 use streamsplat_kernels::philox::Stream;
@@ -8,22 +8,23 @@ use super::epipolar::{cost, refine, rotation};
 use super::matches::Match;
 use super::triangulate::inverse_depth;
 
-/// Samples drawn.
+/// Number of draws.
 const DRAWS: usize = 48;
-/// Matches of a sample.
+/// Matches per sample.
 const SAMPLE: usize = 40;
-/// Matches on which motions are compared, at most.
+/// Maximum number of matches on which motions are compared.
 const JURY: usize = 400;
-/// Motions that are refined on all matches.
+/// Number of motions that are refined on all matches.
 const BEST: usize = 3;
-/// Distance within which a match counts in that, in those within which it fits. Flow's errors reach over whole regions:
-/// of a short parallax a narrow distance keeps those regions that agree by chance.
+/// Distance within which a match counts in this refinement, relative to the distance within which it fits. Errors of
+/// the flow extend over whole regions: with a short parallax, a smaller distance would keep the regions that agree by
+/// chance.
 const WITHIN: f64 = 2.0;
-/// Elements of the random stream that a draw has to itself.
+/// Elements of the random stream that belong to one draw.
 const ELEMENTS: u64 = 64;
 
-/// The motion that most matches fit. Each draw starts from the turn that explains all matches best and a random
-/// direction, and is refined on a sample.
+/// Returns the motion of least cost over the matches. Each draw starts from the rotation that explains all matches best
+/// and a random direction, and is refined on a sample.
 pub(super) fn motion(matches: &[Match], fits: f64, stream: Stream) -> Option<Motion> {
     let turn = rotation(matches, 4.0 * fits)?;
     let every = matches.len().div_ceil(JURY);
@@ -57,7 +58,7 @@ pub(super) fn motion(matches: &[Match], fits: f64, stream: Stream) -> Option<Mot
     Some(before_the_camera(*motion, matches))
 }
 
-/// The motion with the sign of its translation by which most matches lie before the camera.
+/// Returns the motion with the sign of its translation that puts most matches in front of the camera.
 fn before_the_camera(motion: Motion, matches: &[Match]) -> Motion {
     let sides = matches.iter().fold(0.0, |sum, m| {
         let (inverse, ..) = inverse_depth(&motion, m.one, m.other);

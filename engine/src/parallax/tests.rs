@@ -1,4 +1,4 @@
-//! Scenes of known depth: planes at their own distances, seen through exact flow.
+//! Scenes of known depth: planes at different distances, seen through exact flow.
 
 use glam::DVec3;
 use streamsplat_kernels::Level;
@@ -10,21 +10,21 @@ use super::*;
 const SIZE: [usize; 2] = [96, 160];
 const STREAM: Stream = Stream { seed: 7, frame: 3 };
 
-/// Inverse depth, and displacement of the thing itself in pixels, at a place in pixels.
+/// Inverse depth, and the object's own displacement in pixels, at a position in pixels.
 type Scene = fn(f64, f64) -> (f64, [f64; 2]);
 
-/// A near plane before a far one that recedes to the right.
+/// Returns a near plane in front of a far one that recedes to the right.
 fn planes(x: f64, y: f64) -> (f64, [f64; 2]) {
     if (30.0..110.0).contains(&x) && y > 20.0 { (0.9, [0.0; 2]) } else { (0.3 - 0.001 * x, [0.0; 2]) }
 }
 
-/// A picture with texture everywhere.
+/// Returns a picture with texture everywhere.
 fn picture() -> Vec<f32> {
     let [height, width] = SIZE;
     (0..3 * height * width).map(|i| Stream { seed: 1, frame: 1 }.uniform((i % (height * width)) as u64)).collect()
 }
 
-/// Exact flow of a scene under a motion of the camera, and what undoes it.
+/// Returns the exact flow of a scene under a motion of the camera, and its inverse.
 fn flow(scene: Scene, motion: Motion, length: f64) -> [Field; 2] {
     let [height, width] = SIZE;
     let focal = FOCAL * width as f64;
@@ -72,7 +72,7 @@ fn reason(scene: Scene, motion: Motion, length: f64) -> Option<NoParallax> {
     camera(Level::scalar(), Evidence { rgb: &picture(), there: &there, back: &back }, STREAM).err()
 }
 
-/// The share of pairs of cells that a map and the truth order alike.
+/// Returns the fraction of pairs of cells whose order is the same in a map and in the truth.
 fn order(map: &[f32], scene: Scene) -> f64 {
     let width = SIZE[1];
     let truth: Vec<f64> = (0..map.len()).map(|i| scene((i % width) as f64, (i / width) as f64).0).collect();
@@ -117,7 +117,7 @@ fn what_shows_no_parallax_is_told_from_what_does() {
     assert_eq!(reason(planes, none, 0.0), Some(NoParallax::Still));
     assert_eq!(reason(planes, motion([0.01, 0.05, 0.02], [1.0, 0.0, 0.0]), 0.0), Some(NoParallax::Flat));
     assert_eq!(reason(|x, _| (0.5 - 0.001 * x, [0.0; 2]), right, 0.1), Some(NoParallax::Flat));
-    // Everything goes its own way.
+    // Every point moves independently.
     let restless: Scene = |x, y| {
         let word = |k: u64| f64::from(Stream { seed: k, frame: 0 }.uniform((x / 12.0) as u64 + 64 * (y / 12.0) as u64));
         (0.3, [24.0 * (word(1) - 0.5), 24.0 * (word(2) - 0.5)])
@@ -128,7 +128,7 @@ fn what_shows_no_parallax_is_told_from_what_does() {
 
 #[test]
 fn a_small_thing_before_one_plane_is_parallax_unless_the_camera_may_only_turn() {
-    // 14 % of the picture are at rest before a wall, or move before it.
+    // 14 % of the picture are at rest in front of a wall, or move in front of it.
     let standing: Scene =
         |x, y| if (60.0..100.0).contains(&x) && (30.0..84.0).contains(&y) { (0.9, [0.0; 2]) } else { (0.4, [0.0; 2]) };
     let moving: Scene = |x, y| {
@@ -136,7 +136,7 @@ fn a_small_thing_before_one_plane_is_parallax_unless_the_camera_may_only_turn() 
     };
     assert_eq!(reason(standing, motion([0.0; 3], [1.0, 0.0, 0.0]), 0.4), None);
     assert_eq!(reason(moving, motion([0.0, 0.1, 0.02], [1.0, 0.0, 0.0]), 0.0), Some(NoParallax::Flat));
-    // Parallax of less than 0.4 pixels of 512 is none.
+    // Parallax of less than 0.4 pixels of 512 does not count.
     assert_eq!(reason(planes, motion([0.0, 0.1, 0.02], [1.0, 0.0, 0.0]), 0.001), Some(NoParallax::Flat));
 }
 
@@ -151,7 +151,7 @@ fn flow_that_is_no_number_gives_no_depth() {
 
 #[test]
 fn what_moves_by_itself_takes_the_depth_of_the_ground_under_it() {
-    // A thing in the middle that slides across the epipolar lines, over ground that comes nearer downwards.
+    // An object in the middle that slides across the epipolar lines, over ground that comes nearer downwards.
     let scene: Scene = |x, y| {
         let own = if (60.0..100.0).contains(&x) && (30.0..60.0).contains(&y) { [0.0, 5.0] } else { [0.0; 2] };
         let wall = if x < 50.0 { 0.3 } else { 0.0 };
@@ -164,8 +164,8 @@ fn what_moves_by_itself_takes_the_depth_of_the_ground_under_it() {
     assert!((thing - ground).abs() < (thing - above).abs(), "{thing}, ground {ground}, above {above}");
 }
 
-/// A body over ground that comes nearer downwards: its sides slide across the epipolar lines, a strip in its middle
-/// along them.
+/// Returns a body over ground that comes nearer downwards: its sides slide across the epipolar lines, a strip in its
+/// middle along them.
 fn body(x: f64, y: f64) -> (f64, [f64; 2]) {
     let inside = (60.0..100.0).contains(&x) && (30.0..60.0).contains(&y);
     let own = match inside {
@@ -176,7 +176,7 @@ fn body(x: f64, y: f64) -> (f64, [f64; 2]) {
     (0.2 + 0.006 * y + if x < 50.0 { 0.3 } else { 0.0 }, own)
 }
 
-/// The largest and least inverse depth of cells inside the body.
+/// Returns the largest and smallest inverse depth of cells inside the body.
 fn of_body(found: &Found) -> [f32; 2] {
     let cells = (17..28).flat_map(|row| (32..48).map(move |column| row * found.grid[1] + column));
     cells.fold([0.0, f32::INFINITY], |[most, least], cell| {
@@ -192,7 +192,7 @@ fn a_body_has_one_depth_with_its_parts_that_move_along_the_epipolar_lines() {
     let [most, least] = of_body(&first);
     assert!(least > 0.0 && most == least, "{least} to {most}");
     assert!(first.body[22 * first.grid[1] + 40] == 1.0 && first.body[5 * first.grid[1] + 40] == 0.0);
-    // When it rests it still has one depth, and is forgotten after some key frames.
+    // When it comes to rest it still has one depth, and is forgotten after some key frames.
     let resting: Scene = |x, y| (body(x, y).0, [0.0; 2]);
     let mut last = found(resting, right, 0.12, Some(&first)).expect("parallax");
     let [most, least] = of_body(&last);
@@ -211,7 +211,7 @@ fn what_was_found_is_carried_on_while_the_camera_rests() {
     let then = found(planes, resting, 0.0, Some(&first)).expect("carried");
     assert_eq!(then.inverse.len(), first.inverse.len());
     assert!(order(&then.map(Level::scalar(), &picture(), SIZE), planes) > 0.9);
-    // Not for ever.
+    // But not forever.
     let mut last = Some(then);
     for _ in 0..64 {
         last = found(planes, resting, 0.0, last.as_ref());
@@ -223,7 +223,7 @@ fn what_was_found_is_carried_on_while_the_camera_rests() {
 fn a_scene_keeps_its_scale_from_key_frame_to_key_frame() {
     let right = motion([0.0; 3], [1.0, 0.0, 0.0]);
     let first = found(planes, right, 0.1, None).expect("parallax");
-    // Half as far: the parallax is half as long, and the result has it.
+    // At half the baseline, the parallax is half as long, and the result contains it.
     let second = found(planes, right, 0.05, Some(&first)).expect("parallax");
     let near = |found: &Found| {
         let cell = 30 * found.grid[1] + 32;

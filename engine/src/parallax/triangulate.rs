@@ -5,14 +5,14 @@ use glam::DVec3;
 use super::matches::Match;
 use super::{Motion, Sight};
 
-/// Distance from the epipolar line, in pixels of a picture 512 wide, from which on a match certainly fits no thing at
+/// Distance from the epipolar line, in pixels of a picture 512 wide, above which a match certainly fits no point at
 /// rest.
 const SEED: f64 = 2.5;
-/// The same where that is likely.
+/// Distance above which this is likely.
 const HINT: f64 = 1.0;
-/// Part of the flow's length that is added to these, since long flow is less exact.
+/// Fraction of the flow's length that is added to both distances, since long flow is less exact.
 const TRAVEL: f64 = 0.08;
-/// Part of these that is enough for a place behind the camera.
+/// Fraction of these distances that suffices for a point behind the camera.
 const BEHIND: f64 = 0.7;
 
 /// Inverse depth and confidence of a cell.
@@ -20,16 +20,16 @@ const BEHIND: f64 = 0.7;
 pub(super) struct Cell {
     pub(super) inverse: f32,
     pub(super) confidence: f32,
-    /// True if a certain match fits no place of a thing at rest.
+    /// True if the match certainly fits no point at rest.
     pub(super) moves: bool,
     /// True if this is likely.
     pub(super) hint: bool,
-    /// From 0 to 1: 1 where a body moves by itself, less for each key frame since.
+    /// Score from 0 to 1: 1 where a body moves independently, less for each key frame since.
     pub(super) body: f32,
 }
 
-/// For a match: ρ by least squares, the length of parallax that a ρ of 1 makes, and the distance from the epipolar
-/// line.
+/// Returns, for a match: ρ by least squares, the length of parallax that a ρ of 1 causes, and the distance from the
+/// epipolar line.
 ///
 /// From `x₂·(y₃ + ρ·t₃) = (y + ρ·t)₁₂` with `y = R·x₁`: `ρ·a = b`, `a = t₁₂ − x₂·t₃`, `b = x₂·y₃ − y₁₂`.
 pub(super) fn inverse_depth(motion: &Motion, one: DVec3, other: DVec3) -> (f64, f64, f64) {
@@ -41,7 +41,7 @@ pub(super) fn inverse_depth(motion: &Motion, one: DVec3, other: DVec3) -> (f64, 
     ((ax * bx + ay * by) / square, length / y.z, (ax * by - ay * bx).abs() / (length * y.z))
 }
 
-/// All cells of the picture; inverse depth in units of the median of the certain ones.
+/// Returns all cells of the picture, with inverse depth in units of the median of the certain ones.
 pub(super) fn cells(sight: &Sight<'_>, motion: &Motion) -> Vec<Cell> {
     let pixels = sight.focal / sight.unit;
     let count = sight.grid[0] * sight.grid[1];

@@ -5,10 +5,11 @@ use glam::DVec3;
 use super::epipolar::rotation;
 use super::matches::Match;
 
-/// Focal lengths that are tried, in parts of the one that is taken: from wide angle to short telephoto.
+/// Focal lengths that are tried, relative to the assumed one: from wide angle to short telephoto.
 const FOCALS: [f64; 3] = [0.8, 1.0, 1.25];
 
-/// The largest share of the matches, by weight, that a turn brings to within `fits`, at the best of the focal lengths.
+/// Returns the largest fraction of the matches, by weight, that a rotation maps to within `fits`, over all focal
+/// lengths tried.
 pub(super) fn share(matches: &[Match], fits: f64) -> f64 {
     FOCALS.into_iter().map(|focal| share_at(focal, matches, fits)).fold(0.0, f64::max)
 }

@@ -1,4 +1,4 @@
-//! gsplat's call: several cameras, colours or harmonics, depth.
+//! gsplat's function: several cameras, colours or harmonics, depth.
 
 use streamsplat_kernels::raster::Projected;
 
@@ -6,29 +6,29 @@ use super::harmonics::{HarmonicGradients, harmonic_colours, harmonic_gradients};
 use super::view::{GaussianGradients, View};
 use super::{CameraMatrix, Colours, Gaussians, Options, RasterError, ViewMatrix, check};
 
-/// Alpha counts as this at least where depth is divided by it.
+/// Minimum alpha by which depth is divided.
 const LEAST_ALPHA: f32 = 1e-10;
 
 /// One camera's image.
 #[derive(Debug)]
 struct Drawn {
     view: View,
-    /// Harmonics' colours, `[N, 3]`; none without.
+    /// Colours from harmonics, `[N, 3]`; empty without harmonics.
     seen: Vec<[f32; 3]>,
     /// Colours and depth, `[N, D]`.
     colours: Vec<f32>,
     background: Vec<f32>,
-    /// `[H, W, D]`, before depth is divided.
+    /// `[H, W, D]`, before depth is divided by alpha.
     image: Vec<f32>,
 }
 
-/// Images of all cameras, and what their gradients need.
+/// Images of all cameras, and the data that their gradients need.
 #[derive(Debug)]
 pub struct Rasterisation<'a> {
     gaussians: Gaussians<'a>,
     source: Colours<'a>,
     options: Options<'a>,
-    /// Channels of an image.
+    /// Channels per image.
     channels: usize,
     cameras: Vec<Drawn>,
     colours: Vec<f32>,
@@ -48,21 +48,21 @@ pub struct Gradients {
     pub opacities: Vec<f32>,
     /// By colours or coefficients, with their shape.
     pub colours: Vec<f32>,
-    /// By backgrounds `[C, D]`; nothing without.
+    /// By backgrounds `[C, D]`; empty without backgrounds.
     pub backgrounds: Vec<f32>,
     /// By view matrices, `[C]`; their last rows are 0.
     pub viewmats: Vec<ViewMatrix>,
 }
 
-/// One camera's part of values `[N, …]` or `[C, N, …]`, which are this many per camera.
+/// Returns one camera's part of values `[N, …]` or `[C, N, …]`, which are `per_camera` per camera.
 fn part<T>(values: &[T], camera: usize, per_camera: usize) -> &[T] {
     if values.len() == per_camera { values } else { &values[camera * per_camera..][..per_camera] }
 }
 
-/// Draws Gaussians as all cameras see them.
+/// Draws Gaussians as seen by all cameras.
 ///
 /// # Errors
-/// Arguments that cannot be drawn, before memory is taken.
+/// Arguments that cannot be drawn; they are checked before memory is allocated.
 pub fn rasterise<'a>(
     gaussians: &Gaussians<'a>,
     colours: &Colours<'a>,
@@ -138,7 +138,7 @@ pub fn rasterise<'a>(
     Ok(all)
 }
 
-/// Colours `[N, D]` of colours and depth, of which either may be empty.
+/// Joins colours and depth to `[N, D]`; either may be empty.
 fn joined(colours: &[f32], depth: &[f32], n: usize, channels: usize) -> Vec<f32> {
     let from = channels - usize::from(!depth.is_empty());
     let mut all = Vec::with_capacity(n * channels);
@@ -150,28 +150,28 @@ fn joined(colours: &[f32], depth: &[f32], n: usize, channels: usize) -> Vec<f32>
 }
 
 impl Rasterisation<'_> {
-    /// Images `[C, H, W, D]`.
+    /// Returns the images `[C, H, W, D]`.
     pub fn colours(&self) -> &[f32] {
         &self.colours
     }
 
-    /// Alphas `[C, H, W]`.
+    /// Returns the alphas `[C, H, W]`.
     pub fn alphas(&self) -> &[f32] {
         &self.alphas
     }
 
-    /// Values per pixel of [`Rasterisation::colours`].
+    /// Returns the number of values per pixel of [`Rasterisation::colours`].
     pub fn channels(&self) -> usize {
         self.channels
     }
 
-    /// The Gaussians as each camera sees them.
+    /// Iterates over the Gaussians as seen by each camera.
     pub fn projected(&self) -> impl Iterator<Item = &Projected> {
         self.cameras.iter().map(|camera| camera.view.projected())
     }
 
-    /// Gradients of a loss from those by [`Rasterisation::colours`] and [`Rasterisation::alphas`]. Cameras are added in
-    /// ascending order.
+    /// Computes the gradients of a loss from those by [`Rasterisation::colours`] and [`Rasterisation::alphas`]. Cameras
+    /// are added in ascending order.
     ///
     /// # Errors
     /// Slices of another length.
@@ -264,7 +264,7 @@ impl Rasterisation<'_> {
         })
     }
 
-    /// True if all cameras see the same colours.
+    /// Returns true if all cameras see the same colours.
     fn is_shared(&self) -> bool {
         let n = self.gaussians.means.len();
         match self.source {

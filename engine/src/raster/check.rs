@@ -1,12 +1,12 @@
-//! Arguments that can be drawn.
+//! Checks of the arguments.
 
 use streamsplat_kernels::raster::MAX_SIDE;
 
 use super::{CameraMatrix, Gaussians, MAX_CHANNELS, MAX_GAUSSIANS, Options, RasterError, ViewMatrix};
 
-/// Values tested at a time, so that the test is a vector's.
+/// Values tested in one block, so that the test is vectorised.
 const TOGETHER: usize = 1 << 12;
-/// The least share of the product of its rows' lengths that the determinant of an invertible matrix has.
+/// Minimum determinant of an invertible matrix, relative to the product of its rows' lengths.
 const LEAST_VOLUME: f64 = 1e-9;
 
 /// Fails unless there are `expected` values.
@@ -14,7 +14,7 @@ pub(super) fn length(name: &'static str, expected: usize, found: usize) -> Resul
     if expected == found { Ok(()) } else { Err(RasterError::Length { name, expected, found }) }
 }
 
-/// Fails unless there is something, and at most `most`.
+/// Fails unless `found` is at least 1 and at most `most`.
 pub(super) fn some(name: &'static str, most: usize, found: usize) -> Result<(), RasterError> {
     match found {
         0 => Err(RasterError::Empty { name }),
@@ -36,7 +36,7 @@ pub(super) fn finite(name: &'static str, values: &[f32]) -> Result<(), RasterErr
     Ok(())
 }
 
-/// Fails where Gaussians cannot be drawn; returns their number.
+/// Fails if Gaussians cannot be drawn; returns their number.
 pub(super) fn gaussians(gaussians: &Gaussians<'_>) -> Result<usize, RasterError> {
     let Gaussians { means, quats, scales, opacities } = gaussians;
     let n = means.len();
@@ -51,7 +51,7 @@ pub(super) fn gaussians(gaussians: &Gaussians<'_>) -> Result<usize, RasterError>
     Ok(n)
 }
 
-/// Fails where images cannot be drawn so.
+/// Fails if images cannot be drawn with these options.
 pub(super) fn options(options: &Options<'_>) -> Result<(), RasterError> {
     some("width", MAX_SIDE, options.width)?;
     some("height", MAX_SIDE, options.height)?;
@@ -66,7 +66,7 @@ pub(super) fn options(options: &Options<'_>) -> Result<(), RasterError> {
     range("eps2d", "a finite number from 0 on", eps2d >= 0.0 && eps2d.is_finite(), eps2d)
 }
 
-/// Values of images of `[width, height]` pixels, all 0, or an error where there is no memory for them.
+/// Allocates values of images of `[width, height]` pixels, all 0, or returns an error if memory does not suffice.
 pub(super) fn zeros(len: usize, [width, height]: [usize; 2]) -> Result<Vec<f32>, RasterError> {
     let mut values = Vec::new();
     let bytes = len.saturating_mul(size_of::<f32>());
@@ -75,12 +75,12 @@ pub(super) fn zeros(len: usize, [width, height]: [usize; 2]) -> Result<Vec<f32>,
     Ok(values)
 }
 
-/// Fails where there are more channels than are drawn.
+/// Fails if there are too many channels.
 pub(super) fn channels(found: usize) -> Result<(), RasterError> {
     some("channels", MAX_CHANNELS, found)
 }
 
-/// The place of the eye, `−V⁻¹·t` in binary64, and V⁻¹.
+/// Returns the eye's position, `−V⁻¹·t` in binary64, and V⁻¹.
 pub(super) fn eye(matrix: &ViewMatrix) -> Result<([f64; 3], [[f64; 3]; 3]), RasterError> {
     let singular = Err(RasterError::Singular { found: *matrix });
     if matrix.as_flattened().iter().any(|v| !v.is_finite()) || matrix[3] != [0.0, 0.0, 0.0, 1.0] {
@@ -101,7 +101,7 @@ pub(super) fn eye(matrix: &ViewMatrix) -> Result<([f64; 3], [[f64; 3]; 3]), Rast
     Ok((inverse.map(|row| -dot(row, t)), inverse))
 }
 
-/// Focal lengths and the centre of a camera matrix.
+/// Returns focal lengths and centre of a camera matrix.
 pub(super) fn camera(k: &CameraMatrix) -> Result<([f32; 2], [f32; 2]), RasterError> {
     let [[fx, skew, cx], [zero, fy, cy], last] = *k;
     let finite = k.as_flattened().iter().all(|v| v.is_finite());

@@ -1,11 +1,11 @@
-//! Colours of harmonics `[N, K, 3]`, and their gradients.
+//! Colours from harmonics `[N, K, 3]`, and their gradients.
 
 use streamsplat_kernels::Level;
 use streamsplat_kernels::harmonics::{Eye, Gradients, MAX_DEGREE, adjoint, colours, rest};
 
 use super::{RasterError, check};
 
-/// The coefficients that count, the first of each Gaussian and the others.
+/// Splits the used coefficients into the first of each Gaussian and the others.
 fn split(
     coefficients: &[f32],
     count: usize,
@@ -26,7 +26,7 @@ fn split(
     Ok((each().map(|own| [own[0], own[1], own[2]]).collect(), higher))
 }
 
-/// Colours `[N, 3]` of coefficients `[N, K, 3]` up to `degree`, seen from `eye`: `max(0, ½ + Σ c·Y)`.
+/// Computes the colours `[N, 3]` from coefficients `[N, K, 3]` up to `degree`, seen from `eye`: `max(0, ½ + Σ c·Y)`.
 ///
 /// # Errors
 /// A degree above 3, and slices of another length.
@@ -43,18 +43,18 @@ pub fn harmonic_colours(
     Ok(out)
 }
 
-/// Gradients of a loss by harmonics.
+/// Gradients of a loss with respect to harmonics.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HarmonicGradients {
     /// By coefficients, `[N, K, 3]`; zeros above the degree.
     pub coefficients: Vec<f32>,
     /// By means, `[N]`.
     pub means: Vec<[f32; 3]>,
-    /// By the eye's place.
+    /// By the eye's position.
     pub eye: [f64; 3],
 }
 
-/// Gradients from those by the colours `out` that [`harmonic_colours`] made of the other arguments.
+/// Computes gradients from those by the colours `out`, which [`harmonic_colours`] computed from the other arguments.
 ///
 /// # Errors
 /// As [`harmonic_colours`].

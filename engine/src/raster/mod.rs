@@ -1,10 +1,10 @@
-//! A renderer of Gaussians in world space that is called with arrays, by gsplat's conventions, and its gradients.
+//! A renderer of Gaussians in world space, called with arrays by gsplat's conventions, and its gradients.
 //!
-//! [`rasterise`] takes what gsplat's `rasterization` takes, with its shapes: `N` Gaussians, `C` cameras of one size,
-//! colours in any number of channels or as spherical harmonics, and a [`RenderMode`]. [`Rasterisation::backward`]
-//! returns the gradients of a loss from those with respect to the images. Formulas and orders of operations are those
-//! of [`streamsplat_kernels::raster::WorldRasteriser`]: every result is the same on every level and for any number of
-//! threads. [`View`] is one camera's part of it.
+//! [`rasterise`] takes the same arguments as gsplat's `rasterization`, with the same shapes: `N` Gaussians, `C` cameras
+//! of one size, colours in any number of channels or as spherical harmonics, and a [`RenderMode`].
+//! [`Rasterisation::backward`] returns the gradients of a loss from those with respect to the images. Formulas and
+//! orders of operations are those of [`streamsplat_kernels::raster::WorldRasteriser`]: every result is the same on
+//! every level and for any number of threads. [`View`] is the part of one camera.
 //!
 //! ```
 //! use streamsplat::raster::{Colours, Gaussians, Options, rasterise};
@@ -44,9 +44,9 @@ pub use harmonics::{HarmonicGradients, harmonic_colours, harmonic_gradients};
 pub use planes::{PlaneSplat, Planes};
 pub use view::{GaussianGradients, View};
 
-/// The most Gaussians that are drawn.
+/// Maximum number of Gaussians.
 pub const MAX_GAUSSIANS: usize = 1 << 24;
-/// The most channels that are drawn.
+/// Maximum number of channels.
 pub const MAX_CHANNELS: usize = 1 << 10;
 
 /// A world-to-camera matrix, row by row; its last row is 0, 0, 0, 1.
@@ -54,7 +54,7 @@ pub type ViewMatrix = [[f32; 4]; 4];
 /// A camera's matrix `[[f_x, 0, c_x], [0, f_y, c_y], [0, 0, 1]]`, in pixels from the image's left and upper edge.
 pub type CameraMatrix = [[f32; 3]; 3];
 
-/// Gaussians in world space; all slices are equally long.
+/// Gaussians in world space; all slices have the same length.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Gaussians<'a> {
     /// Centres.
@@ -77,7 +77,7 @@ pub enum Colours<'a> {
         /// D
         channels: usize,
     },
-    /// `[N, K, 3]` or `[C, N, K, 3]`, of which the first (degree + 1)² count.
+    /// `[N, K, 3]` or `[C, N, K, 3]`, of which the first (degree + 1)² are used.
     Harmonics {
         /// The coefficients.
         coefficients: &'a [f32],
@@ -96,7 +96,7 @@ pub enum RenderMode {
     Rgb,
     /// Depth Σ α·T·z.
     Depth,
-    /// Depth over alpha, which counts as 1e-10 at least.
+    /// Depth over alpha, with alpha at least 1e-10.
     ExpectedDepth,
     /// Colours, then depth.
     RgbDepth,
@@ -105,7 +105,7 @@ pub enum RenderMode {
 }
 
 impl RenderMode {
-    /// Its names in gsplat.
+    /// Names of the modes in gsplat.
     pub const NAMES: [(&'static str, RenderMode); 5] = [
         ("RGB", RenderMode::Rgb),
         ("D", RenderMode::Depth),
@@ -127,14 +127,14 @@ impl RenderMode {
     }
 }
 
-/// How images are drawn.
+/// Options of drawing.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options<'a> {
     /// Pixels per row.
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Gaussians are drawn beyond this depth, at least 0,
+    /// Gaussians are drawn beyond this depth, which is at least 0,
     pub near_plane: f32,
     /// and before this one.
     pub far_plane: f32,
@@ -142,20 +142,20 @@ pub struct Options<'a> {
     pub radius_clip: f32,
     /// Added to both variances of a footprint, px².
     pub eps2d: f32,
-    /// Colours behind everything, `[C, D]`; black without. Depth has none.
+    /// Colours behind all Gaussians, `[C, D]`; black if absent. Depth has no background.
     pub backgrounds: Option<&'a [f32]>,
     /// Channels of the images.
     pub render_mode: RenderMode,
-    /// True if opacities are lowered by as much as `eps2d` widens footprints.
+    /// True to lower opacities by as much as `eps2d` widens footprints.
     pub antialiased: bool,
-    /// True if rays are parallel.
+    /// True for parallel rays.
     pub orthographic: bool,
-    /// An α above this is lowered to it.
+    /// Maximum α; larger ones are lowered to it.
     pub largest_alpha: f32,
 }
 
 impl Options<'_> {
-    /// gsplat's defaults for images of this size.
+    /// Returns gsplat's defaults for images of this size.
     pub fn new(width: usize, height: usize) -> Self {
         Self {
             width,
@@ -177,30 +177,30 @@ impl Options<'_> {
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum RasterError {
-    /// A slice of another length.
+    /// A slice of wrong length.
     #[error("{name}: expected {expected} values, found {found}")]
     Length {
         /// The argument.
         name: &'static str,
-        /// Values that there should be.
+        /// Expected number of values.
         expected: usize,
-        /// Values that there are.
+        /// Number of values found.
         found: usize,
     },
     /// No Gaussians, cameras or pixels.
     #[error("{name}: expected at least one, found none")]
     Empty {
-        /// Things of which there are none.
+        /// The missing items.
         name: &'static str,
     },
-    /// More than can be drawn.
+    /// More items than can be drawn.
     #[error("{name}: expected at most {most}, found {found}")]
     TooMany {
-        /// Things of which there are too many.
+        /// The items.
         name: &'static str,
-        /// The most.
+        /// Maximum number.
         most: usize,
-        /// As many as there are.
+        /// Number found.
         found: usize,
     },
     /// A number that is not finite.
@@ -208,7 +208,7 @@ pub enum RasterError {
     NotFinite {
         /// The argument.
         name: &'static str,
-        /// Where in it, counted in values.
+        /// Index of the value.
         at: usize,
         /// The number.
         value: f32,
@@ -218,18 +218,18 @@ pub enum RasterError {
     Range {
         /// The argument.
         name: &'static str,
-        /// Numbers that it can be.
+        /// Valid numbers.
         expected: &'static str,
         /// The number.
         found: f64,
     },
-    /// A view matrix that does not map space onto space.
+    /// A view matrix that is not invertible.
     #[error("viewmats: expected a matrix with an inverse and the last row 0, 0, 0, 1, found {found:?}")]
     Singular {
         /// The matrix.
         found: ViewMatrix,
     },
-    /// A camera matrix that is none.
+    /// An invalid camera matrix.
     #[error("Ks: expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx and fy above 0, found {found:?}")]
     Camera {
         /// The matrix.

@@ -1,4 +1,4 @@
-//! Splats in the planes of images: no camera, footprints along the axes.
+//! Splats in the planes of images: no camera, axis-aligned footprints.
 
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
@@ -6,19 +6,20 @@ use streamsplat_kernels::raster::{self, Drawing, FootprintGradient, WorldProject
 
 use super::{MAX_GAUSSIANS, RasterError, check};
 
-/// A splat in an image's plane: u and v in pixels with pixel centres at whole numbers, variances along both axes in
-/// px², opacity.
+/// A splat in an image's plane: u and v in pixels with pixel centres at integers, variances along both axes in px²,
+/// opacity.
 pub type PlaneSplat = [f32; 5];
 
-/// Depths beyond this are not drawn: keys below it can be depths.
+/// Splats with depths beyond this are not drawn. Keys from the smallest positive normal number up to it serve as depths
+/// themselves; if any key is outside, ranks replace the keys.
 const FAR: f32 = 3e38;
-/// An orthographic camera with a pixel per unit.
+/// An orthographic camera with one pixel per unit.
 const WORLD_TO_VIEW: [[f32; 4]; 3] = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
 
-/// `M` images of `N` splats each: their lists, images in any colours, and gradients. Training draws with it.
+/// `M` images of `N` splats each: their lists, images in any colours, and gradients. Used for training.
 ///
-/// A splat is `α(x, y) = o·exp(−½((x − u)²/a + (y − v)²/c))`, blended front to back in the order of keys as
-/// [`View`](super::View) does; equal keys keep the order of storage. Images are worked on at the same time; bits do not
+/// A splat is `α(x, y) = o·exp(−½((x − u)²/a + (y − v)²/c))`. Splats are blended front to back in the order of keys as
+/// [`View`](super::View) does; equal keys keep the order of storage. Images are processed in parallel; the bits do not
 /// depend on it.
 #[derive(Debug)]
 pub struct Planes {
@@ -29,7 +30,7 @@ pub struct Planes {
 }
 
 impl Planes {
-    /// The lists of `splats [M, N]` in the order of `keys [M, N]`, in images of `[width, height]` pixels.
+    /// Builds the lists of `splats [M, N]` in the order of `keys [M, N]`, in images of `[width, height]` pixels.
     ///
     /// # Errors
     /// Arguments that cannot be drawn.
@@ -64,7 +65,7 @@ impl Planes {
                 mean.iter_mut().zip(keys).for_each(|(mean, key)| mean[2] = *key);
             } else {
                 let mut order: Vec<u32> = (0..keys.len() as u32).collect();
-                // −0 is 0.
+                // −0 becomes 0.
                 let key = |at: u32| keys[at as usize] + 0.0;
                 order.sort_unstable_by(|&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
                 (1_u32..).zip(order).for_each(|(rank, at)| mean[at as usize][2] = rank as f32);
@@ -88,10 +89,10 @@ impl Planes {
         check::length("backgrounds", self.images.len() * channels, backgrounds.len())
     }
 
-    /// The images `[M, H, W, D]` and their alphas `[M, H, W]` in `colours [M, N, D]` on `backgrounds [M, D]`.
+    /// Draws the images `[M, H, W, D]` and their alphas `[M, H, W]` in `colours [M, N, D]` on `backgrounds [M, D]`.
     ///
     /// # Errors
-    /// Slices of another length, and images for which there is no memory.
+    /// Slices of wrong length, and images that do not fit in memory.
     pub fn draw(
         &self,
         colours: &[f32],
@@ -110,11 +111,11 @@ impl Planes {
         Ok((images, alphas))
     }
 
-    /// The gradients of a loss by splats `[M, N]` and colours `[M, N, D]` from those by what [`Planes::draw`] drew:
-    /// `drawn` and `of` are the images and alphas, and the gradients by them. A variance of 0 has no gradient.
+    /// Computes the gradients of a loss by splats `[M, N]` and colours `[M, N, D]`. `drawn` are the images and alphas
+    /// of [`Planes::draw`], and `of` the gradients by them. A variance of 0 has no gradient.
     ///
     /// # Errors
-    /// Slices of another length.
+    /// Slices of wrong length.
     pub fn gradients(
         &self,
         colours: &[f32],

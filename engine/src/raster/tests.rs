@@ -1,4 +1,4 @@
-//! Modes, cameras and harmonics as their definitions, gradients as finite differences, and refusals.
+//! Modes, cameras and harmonics against their definitions, gradients against finite differences, and errors.
 
 use super::*;
 
@@ -137,14 +137,14 @@ fn gradients_are_finite_differences_of_the_images() {
     ];
     for (case, scene) in scenes.iter().enumerate() {
         let mut random = Random(9);
-        // Smooth weights: edges of footprints, which have no gradient, count little.
+        // Smooth weights: edges of footprints, which have no gradient, have little effect.
         let channels = scene.with(|drawn| drawn.expect("a scene").channels());
         let smooth =
             |i: usize| 1.0 + 0.5 * ((i / SIZE[0]) as f32 * 0.3).sin() + 0.5 * ((i % SIZE[0]) as f32 * 0.2).cos();
         let pixels = CAMERAS * SIZE[0] * SIZE[1];
         let mut of: Vec<f32> = (0..pixels * channels).map(|i| smooth(i / channels)).collect();
         if scene.mode.is_expected() {
-            // Where next to nothing is drawn, what is drawn decides the expected depth.
+            // Where the alpha is small, a few Gaussians decide the expected depth.
             let alphas = scene.with(|drawn| drawn.expect("a scene").alphas().to_vec());
             for (of, _) in of.chunks_mut(channels).zip(&alphas).filter(|(_, alpha)| **alpha < 0.3) {
                 of[channels - 1] = 0.0;
@@ -165,7 +165,7 @@ fn gradients_are_finite_differences_of_the_images() {
             }),
         ];
         for (name, gradient, part) in parts {
-            // Along the gradient itself, and on one value of it.
+            // Along the gradient itself, and along its values times random factors.
             let longest = gradient.iter().map(|v| v.abs()).fold(0.0, f32::max);
             if longest == 0.0 {
                 assert!(
@@ -185,8 +185,8 @@ fn gradients_are_finite_differences_of_the_images() {
                 let expected = (moved(1.0) - moved(-1.0)) / (2.0 * f64::from(step));
                 let slope: f64 = gradient.iter().zip(&direction).map(|(g, d)| f64::from(*g) * f64::from(*d)).sum();
                 let scale: f64 = gradient.iter().zip(&direction).map(|(g, d)| f64::from((g * d).abs())).sum();
-                // Footprints end where α is 1/255, and their ends move: about ln(255·o)/(255·o) of a change in size,
-                // which is no part of the gradient.
+                // Footprints end where α is 1/255, and these ends move: about ln(255·o)/(255·o) of a change in size,
+                // which is not part of the gradient.
                 assert!((slope - expected).abs() < 0.1 * scale, "case {case}, {name}: {slope}, expected {expected}");
             }
         }

@@ -7,7 +7,7 @@ use streamsplat_kernels::raster::{
 
 use super::{CameraMatrix, Gaussians, Options, RasterError, ViewMatrix, check};
 
-/// Gaussians as one camera sees them: their footprints and lists, images in any colours, and gradients.
+/// Gaussians as seen by one camera: their footprints and lists, images in any colours, and gradients.
 #[derive(Debug)]
 pub struct View {
     rasteriser: WorldRasteriser,
@@ -29,7 +29,7 @@ pub struct GaussianGradients {
 }
 
 impl GaussianGradients {
-    /// Zeros for `count` Gaussians.
+    /// Returns zeros for `count` Gaussians.
     pub fn zeros(count: usize) -> Self {
         Self {
             means: vec![[0.0; 3]; count],
@@ -51,8 +51,8 @@ fn kernel<'a>(gaussians: &Gaussians<'a>) -> raster::Gaussians<'a> {
 }
 
 impl View {
-    /// The view of a camera. Of `options`, size, planes, `radius_clip`, `eps2d`, and the kinds of rays and of
-    /// anti-aliasing count.
+    /// Builds the view of a camera. It uses these `options`: size, planes, `radius_clip`, `eps2d`, and the kinds of
+    /// rays and of anti-aliasing.
     ///
     /// # Errors
     /// Arguments that cannot be drawn.
@@ -67,7 +67,7 @@ impl View {
         Self::checked(gaussians, viewmat, k, options)
     }
 
-    /// [`View::new`] for Gaussians and options that were checked.
+    /// Builds a view as [`View::new`] does, from Gaussians and options that were checked.
     pub(super) fn checked(
         gaussians: &Gaussians<'_>,
         viewmat: &ViewMatrix,
@@ -95,17 +95,17 @@ impl View {
         Ok(Self { rasteriser, eye, inverse })
     }
 
-    /// The Gaussians as the camera sees them.
+    /// Returns the Gaussians as seen by the camera.
     pub fn projected(&self) -> &Projected {
         self.rasteriser.projected()
     }
 
-    /// The place of the eye.
+    /// Returns the eye's position.
     pub fn eye(&self) -> [f32; 3] {
         self.eye.map(|v| v as f32)
     }
 
-    /// Pixels of the image.
+    /// Returns the number of pixels of the image.
     fn pixels(&self) -> usize {
         let [width, height] = self.rasteriser.size();
         width * height
@@ -125,10 +125,10 @@ impl View {
         Ok(Drawing { channels, colours, background })
     }
 
-    /// The image `[H, W, D]` and its alpha `[H, W]` with `colours [N, D]` and a `background [D]` or none.
+    /// Draws the image `[H, W, D]` and its alpha `[H, W]` with `colours [N, D]` and a `background [D]` or none.
     ///
     /// # Errors
-    /// Slices of another length, and images for which there is no memory.
+    /// Slices of wrong length, and images that do not fit in memory.
     pub fn draw(
         &self,
         colours: &[f32],
@@ -143,12 +143,12 @@ impl View {
         Ok((image, alpha))
     }
 
-    /// Gradients of a loss from those by what [`View::draw`] drew: `drawn` and `of` are image and alpha, and the
-    /// gradients by them. `of_colours [N, D]` and `of_background [D]` (or nothing) are written over. Returns the
-    /// gradients by footprints.
+    /// Computes gradients of a loss. `drawn` are image and alpha of [`View::draw`], and `of` the gradients by them.
+    /// `of_colours [N, D]` and `of_background [D]` (or an empty slice) are overwritten. Returns the gradients by
+    /// footprints.
     ///
     /// # Errors
-    /// Slices of another length.
+    /// Slices of wrong length.
     #[expect(clippy::too_many_arguments, reason = "what was drawn, two gradients in, two out")]
     pub fn draw_gradients(
         &self,
@@ -172,11 +172,11 @@ impl View {
         Ok(footprints)
     }
 
-    /// Adds to `to` the gradients by Gaussians, of those that were projected, from those by footprints, by depths `[N]`
-    /// where there are any, and by [`View::eye`]. Returns the gradient by the view matrix, whose last row is 0.
+    /// Adds to `to` the gradients by Gaussians that were projected, from those by footprints, by depths `[N]` if there
+    /// are any, and by [`View::eye`]. Returns the gradient by the view matrix, whose last row is 0.
     ///
     /// # Errors
-    /// Slices of another length.
+    /// Slices of wrong length.
     pub fn gradients(
         &self,
         gaussians: &Gaussians<'_>,

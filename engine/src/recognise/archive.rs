@@ -1,4 +1,4 @@
-//! Files that hold others, and compressed ones.
+//! Archives and compressed files.
 
 use std::fs::File;
 use std::io::Read;
@@ -18,7 +18,7 @@ const MAGIC: [(&[u8], &str, &str); 6] = [
     (b"\x28\xb5\x2f\xfd", "a file compressed by Zstandard", "unzstd"),
     (b"\x04\x22\x4d\x18", "a file compressed by LZ4", "unlz4"),
 ];
-/// Where the mark of a tar archive is.
+/// Offset of the mark of a tar archive.
 const TAR: usize = 257;
 
 pub(super) fn kind(head: &Head<'_>) -> Option<Kind> {
@@ -45,10 +45,10 @@ fn array() -> &'static str {
     "numbers without names are no scene; save the Gaussians as PLY"
 }
 
-/// A gzip file that is no SPZ file.
+/// Recognises a gzip file that is no SPZ file.
 fn gzip(head: &Head<'_>) -> Option<Kind> {
     let mut inner = Vec::new();
-    // The complete part of the first bytes is enough.
+    // The part that can be decompressed is enough.
     let _ = GzDecoder::new(head.bytes).take(512).read_to_end(&mut inner);
     if inner.starts_with(b"NGSP") {
         return Some(Kind::Scene("SPZ"));
@@ -62,7 +62,7 @@ fn gzip(head: &Head<'_>) -> Option<Kind> {
     Some(Kind::Other(format!("a gzip file{of}"), format!("unpack it first ({tool})")))
 }
 
-/// A zip file that is no SOG file.
+/// Recognises a zip file that is no SOG file.
 fn zip(head: &Head<'_>) -> Option<Kind> {
     let other = |found: &str, advice: String| Some(Kind::Other(found.to_owned(), advice));
     if head.length > MAX_FILE {

@@ -1,4 +1,4 @@
-//! Folders that hold no scene of this program, by the names in them.
+//! Folders without a scene of this program, recognised by the names in them.
 
 use std::path::{Path, PathBuf};
 
@@ -68,12 +68,12 @@ pub(super) fn kind(path: &Path) -> Option<Kind> {
     None
 }
 
-/// Index file of the scene in a folder: that of an unpacked SOG scene, or of a streamed one.
+/// Returns the index file of the scene in a folder: an unpacked SOG scene, or a streamed one.
 pub(crate) fn index(path: &Path) -> Option<PathBuf> {
     ["meta.json", "lod-meta.json"].map(|name| path.join(name)).into_iter().find(|index| index.is_file())
 }
 
-/// The last point cloud of a training's output.
+/// Returns the last point cloud of a training's output.
 fn trained(path: &Path) -> Option<PathBuf> {
     let steps = std::fs::read_dir(path.join("point_cloud")).ok()?.flatten().filter_map(|entry| {
         let name = entry.file_name();

@@ -1,4 +1,4 @@
-//! Points and meshes that are no Gaussians, other programs' files of numbers, and scenes by their headers.
+//! Points and meshes that are not Gaussians, numeric files of other programs, and scenes by their headers.
 
 use std::fs::File;
 use std::io::Read;
@@ -52,7 +52,7 @@ pub(super) fn kind(head: &Head<'_>) -> Option<Kind> {
     None
 }
 
-/// A PLY file: Gaussians, points or a mesh, by its header's lines.
+/// Recognises a PLY file as Gaussians, points or a mesh, by its header's lines.
 fn ply(head: &Head<'_>) -> Option<Kind> {
     let (mut vertex, mut faces, mut points, mut ended) = (false, 0_u64, 0_u64, false);
     let mut names: Vec<&[u8]> = Vec::new();
@@ -79,7 +79,7 @@ fn ply(head: &Head<'_>) -> Option<Kind> {
         }
     }
     let has = |name: &[u8]| names.contains(&name);
-    // One property of a Gaussian makes it a scene; the reader reports those that are missing.
+    // One property of a Gaussian suffices for a scene; the reader reports missing ones.
     let gaussian = |name: &&[u8]| {
         let starts = |start: &[u8]| name.starts_with(start);
         **name == *b"opacity" || starts(b"scale") || starts(b"rot_") || starts(b"f_") || starts(b"packed_")
@@ -94,7 +94,7 @@ fn ply(head: &Head<'_>) -> Option<Kind> {
     })
 }
 
-/// A glTF document, as binary or text: with Gaussians or without.
+/// Recognises a glTF document, binary or text, with or without Gaussians.
 fn gltf(head: &Head<'_>) -> Option<Kind> {
     let json = if head.starts(b"glTF") {
         let length = head.bytes.get(12..16)?.first_chunk().map(|b| u64::from(u32::from_le_bytes(*b)))?;
@@ -121,7 +121,7 @@ fn gltf(head: &Head<'_>) -> Option<Kind> {
     Some(Kind::Other("a mesh (glTF without KHR_gaussian_splatting)".to_owned(), MESH.to_owned()))
 }
 
-/// `length` bytes of the file from `at`; `None` for more than the limit.
+/// Reads `length` bytes of the file from offset `at`; `None` above the limit.
 fn part(head: &Head<'_>, at: u64, length: u64) -> Option<Vec<u8>> {
     if length > MAX_GLTF || at + length > head.length {
         return None;

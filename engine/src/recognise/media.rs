@@ -9,12 +9,12 @@ pub enum Media {
     Video,
     /// One picture, or a few.
     Image,
-    /// No picture.
+    /// Sound without a picture.
     Sound,
 }
 
 impl Media {
-    /// The kind with its article.
+    /// Returns the kind with its article.
     pub(super) fn article(self) -> &'static str {
         match self {
             Media::Video => "a video",
@@ -24,7 +24,7 @@ impl Media {
     }
 }
 
-/// First bytes that one format alone has.
+/// First bytes that identify one format.
 const MAGIC: [(&[u8], Media, &str); 33] = [
     (b"\x1a\x45\xdf\xa3", Media::Video, "Matroska or WebM"),
     (b"YUV4MPEG2", Media::Video, "y4m"),
@@ -61,9 +61,9 @@ const MAGIC: [(&[u8], Media, &str); 33] = [
     (b".snd", Media::Sound, "AU"),
 ];
 
-/// Boxes with which a QuickTime or MP4 file begins.
+/// Boxes at the start of a QuickTime or MP4 file.
 const BOXES: [&[u8]; 5] = [b"moov", b"mdat", b"wide", b"free", b"skip"];
-/// Brands of files that hold pictures.
+/// Brands of files that contain pictures.
 const PICTURES: [&[u8]; 6] = [b"avif", b"heic", b"heix", b"mif1", b"heim", b"heis"];
 
 pub(super) fn kind(head: &Head<'_>) -> Option<Kind> {
@@ -107,7 +107,7 @@ pub(super) fn kind(head: &Head<'_>) -> Option<Kind> {
     if head.starts(b"BM") && bmp == Some(head.length) {
         return found(Media::Image, "BMP");
     }
-    // Frames of MPEG audio begin with eleven set bits, as other things do.
+    // Frames of MPEG audio begin with eleven set bits, but so do other files.
     if head.named(&["mp3", "aac"]) && head.starts(b"\xff") && head.bytes.get(1).is_some_and(|b| b & 0xe0 == 0xe0) {
         return found(Media::Sound, "MP3 or AAC");
     }

@@ -1,15 +1,15 @@
-//! Recognises files of the wrong kind by their content, before a reader opens them.
+//! Recognition of files of the wrong kind by their content, before a reader opens them.
 //!
-//! The message is one sentence: what was expected, what was found, and what to do with it. All commands that take
-//! scenes, videos or records of runs use this module, so that their messages agree. A kind is recognised by its first
-//! bytes. The name decides only if several kinds begin alike, or if a format has no magic number.
+//! The message is one sentence: the expected kind, the kind found, and advice. All commands that take scenes, videos or
+//! records of runs use this module, so that their messages agree. A kind is recognised by its first bytes. The name
+//! decides only if several kinds begin alike, or if a format has no magic number.
 //!
-//! | found | recognised by | what to do |
+//! | found | recognised by | advice |
 //! |---|---|---|
-//! | a video, a sound, an image | first bytes (`media`) | `streamsplat run` makes a scene of a video |
+//! | a video, a sound, an image | first bytes (`media`) | `streamsplat run` makes a scene from a video |
 //! | a web page, a Git LFS pointer | first words | download the file itself |
 //! | an archive, a compressed file | first bytes, and the names in a zip file (`archive`) | unpack it |
-//! | an array of NumPy, a checkpoint of PyTorch, a point cloud or mesh | first bytes, a PLY or glTF header (`geometry`) | the tool that makes Gaussians of it |
+//! | an array of NumPy, a checkpoint of PyTorch, a point cloud or mesh | first bytes, a PLY or glTF header (`geometry`) | use the tool that makes Gaussians from it |
 //! | a folder | the names in it (`folder`) | name the file in it |
 //! | text that is not JSON | no control characters | |
 
@@ -56,7 +56,7 @@ pub struct Wrong {
 }
 
 impl Wrong {
-    /// The same where something else is expected.
+    /// Replaces the expected kind.
     pub fn expecting(self, expected: &'static str) -> Wrong {
         Wrong { expected, ..self }
     }
@@ -90,7 +90,7 @@ impl Head<'_> {
         self.bytes.get(at..).is_some_and(|rest| rest.starts_with(magic))
     }
 
-    /// True if the file's name ends so.
+    /// Returns true if the file's name has one of these endings.
     fn named(&self, endings: &[&str]) -> bool {
         crate::source::folder::ends_in(self.path, endings)
     }
@@ -102,14 +102,14 @@ pub fn kind(path: &Path) -> Option<Kind> {
         return folder::kind(path);
     }
     let about = path.metadata().ok().filter(|about| about.is_file())?;
-    // No records at all are a scene without Gaussians.
+    // An empty file is a valid `.splat` scene without Gaussians.
     if about.len() == 0 && !crate::source::folder::ends_in(path, &["splat"]) {
         return Some(Kind::Other("an empty file (0 bytes)".into(), "it was not written or not copied".into()));
     }
     let mut bytes = Vec::new();
     File::open(path).ok()?.take(HEAD).read_to_end(&mut bytes).ok()?;
     let head = Head { path, bytes: &bytes, length: about.len() };
-    // Records without a header can begin with anything.
+    // Records without a header can begin with any bytes.
     let any = head.named(&["splat", "ksplat"]);
     let other = words(&head).or_else(|| archive::kind(&head));
     if any {
@@ -122,17 +122,17 @@ pub fn kind(path: &Path) -> Option<Kind> {
     other.or_else(|| geometry::kind(&head)).or_else(|| media::kind(&head)).or_else(|| text(&head))
 }
 
-/// The name of files that [`text`] recognises.
+/// Description of files that [`text`] recognises.
 const TEXT: &str = "a text file";
 
-/// Text that is not JSON, which indexes, records and cameras are.
+/// Recognises text that is not JSON; indexes, records and cameras are JSON.
 fn text(head: &Head<'_>) -> Option<Kind> {
     let begin = head.bytes.trim_ascii_start().first()?;
     let advice = "it is another program's, or has the name of another file";
     (!b"{[".contains(begin) && is_text(head.bytes)).then(|| Kind::Other(TEXT.to_owned(), advice.to_owned()))
 }
 
-/// Returns true if bytes are the beginning of a text; its last character may be cut.
+/// Returns true if bytes are the beginning of a text; its last character may be incomplete.
 pub(crate) fn is_text(bytes: &[u8]) -> bool {
     let text = match std::str::from_utf8(bytes) {
         Ok(text) => text,
@@ -142,7 +142,7 @@ pub(crate) fn is_text(bytes: &[u8]) -> bool {
     !text.is_empty() && !text.chars().any(|c| c.is_control() && !c.is_whitespace())
 }
 
-/// Why a path does not contain the expected text; `None` if it may.
+/// Explains why a path does not contain the expected text; `None` if it may.
 pub fn not_a_text(path: &Path, expected: &'static str) -> Option<Wrong> {
     let advice = || "it is no text".to_owned();
     let wrong = |found, advice| Some(Wrong { expected, found, advice });
@@ -156,7 +156,7 @@ pub fn not_a_text(path: &Path, expected: &'static str) -> Option<Wrong> {
     }
 }
 
-/// Why a path is no scene; `None` where it may be one.
+/// Explains why a path is no scene; `None` if it may be one.
 pub fn not_a_scene(path: &Path) -> Option<Wrong> {
     let wrong = |found, advice| Some(Wrong { expected: "a scene", found, advice });
     match kind(path)? {
@@ -177,14 +177,14 @@ pub fn not_a_scene(path: &Path) -> Option<Wrong> {
     }
 }
 
-/// Why a path is no video; `None` where it may be one.
+/// Explains why a path is no video; `None` if it may be one.
 pub fn not_a_video(path: &Path) -> Option<Wrong> {
     let wrong = |found, advice| Some(Wrong { expected: "a video or images", found, advice });
     // An empty file is left to the reader, whose error names the expected content.
     if path.metadata().is_ok_and(|about| about.is_file() && about.len() == 0) {
         return None;
     }
-    // A folder with images is a video, also if it contains other files.
+    // A folder with images is a video, even if it contains other files.
     if path.is_dir() && crate::source::folder::images(path).is_ok() {
         return None;
     }
@@ -200,7 +200,7 @@ pub fn not_a_video(path: &Path) -> Option<Wrong> {
     }
 }
 
-/// Why a path holds no record of a run; `None` where it may hold one.
+/// Explains why a path contains no record of a run; `None` if it may.
 pub fn not_a_record(path: &Path) -> Option<Wrong> {
     let expected = "the folder of a run, or its run.json";
     let wrong = |found, advice| Some(Wrong { expected, found, advice });
@@ -226,14 +226,14 @@ pub fn not_a_record(path: &Path) -> Option<Wrong> {
     }
 }
 
-/// Default path of the scene that a run of the video at `path` writes.
+/// Returns the default path of the scene that a run of the video at `path` writes.
 pub fn scene_of(path: &Path) -> Option<PathBuf> {
     let mut name = path.file_stem()?.to_owned();
     name.push("-scene.ssz");
     Some(path.with_file_name(name))
 }
 
-/// Recognises text in place of the expected file: a Git LFS pointer, a web page or XML.
+/// Recognises text instead of the expected file: a Git LFS pointer, a web page or XML.
 fn words(head: &Head<'_>) -> Option<Kind> {
     let other = |found: &str, advice: &str| Some(Kind::Other(found.into(), advice.into()));
     if head.starts(b"version https://git-lfs") {

@@ -51,7 +51,7 @@ fn ply(lines: &str) -> Vec<u8> {
 
 const XYZ: &str = "property float x\nproperty float y\nproperty float z\n";
 
-/// Name, content, and the message's description where a scene is expected.
+/// Name, content, and the message's description if a scene is expected.
 fn others() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     let mut transport = vec![0; 600];
     [0, 188, 376].iter().for_each(|at| transport[*at] = 0x47);
@@ -67,7 +67,7 @@ fn others() -> Vec<(&'static str, Vec<u8>, &'static str)> {
         ("a.ts", transport, "a video (MPEG transport stream)"),
         ("a.ogv", b"OggS\0\x02 \x80theora".to_vec(), "a video (Ogg)"),
         ("a.y4m", b"YUV4MPEG2 W2 H2\n".to_vec(), "a video (y4m)"),
-        // A name that lies is not believed.
+        // The content decides, not a wrong name.
         ("b.ply", b"\0\0\0\x20ftypmp42\0\0\0\0".to_vec(), "a video (MP4)"),
         ("a.png", b"\x89PNG\r\n\x1a\n\0\0".to_vec(), "an image (PNG)"),
         ("a.jpg", b"\xff\xd8\xff\xe0\0\x10".to_vec(), "an image (JPEG)"),
@@ -132,7 +132,7 @@ fn text_and_an_empty_folder_are_named() {
     let empty = folder.0.path().join("empty");
     std::fs::create_dir(&empty).expect("writable");
     assert!(found(&empty).starts_with("expected a scene, found an empty folder: "), "{}", found(&empty));
-    // Where text is expected, other text may be right, and a video is not.
+    // If text is expected, other text may be right, and a video is not.
     let video = folder.file("clip.mp4", b"\0\0\0\x20ftypisom");
     assert_eq!(not_a_text(&text, "a list"), None);
     let wrong = not_a_text(&video, "a list").expect("no list").to_string();
@@ -153,7 +153,7 @@ fn what_may_be_a_scene_is_left_to_its_reader() {
         ("a.spz", gz(b"NGSP\x03\0\0\0")),
         ("b.spz", b"NGSP\x04\0\0\0".to_vec()),
         ("a.sog", zip(&["meta.json", "means_l.webp"])),
-        // Cut off, it has no list of names.
+        // Truncated, so it has no list of names.
         ("b.sog", b"PK\x03\x04\x14\0".to_vec()),
         ("a.glb", glb(splats)),
         ("b.glb", glb("{")),

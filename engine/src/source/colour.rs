@@ -1,17 +1,17 @@
-//! Colour of inputs: meaning of a file's tags and the conversion for each. The only place that decides it.
+//! Colour of inputs: the meaning of a file's tags and the conversion for each. No other module decides it.
 //!
 //! | tag | conversion |
 //! |---|---|
 //! | matrix bt709, bt470bg, smpte170m, fcc, smpte240m, bt2020nc | [`Matrix`] of that standard, in our own arithmetic |
-//! | matrix gbr, or an RGB format | samples are used as they are |
-//! | other matrices (bt2020c, ictcp, ycgco, chroma-derived) | ffmpeg's zscale filter makes BT.709 of them |
-//! | no matrix | by size: BT.709 above 1024 columns or 576 rows, else BT.601, as video of those sizes is made ([`Matrix::of_size`]) |
+//! | matrix gbr, or an RGB format | none: samples are used unchanged |
+//! | other matrices (bt2020c, ictcp, ycgco, chroma-derived) | ffmpeg's zscale filter converts to BT.709 |
+//! | no matrix | by size: BT.709 above 1024 columns or 576 rows, else BT.601, the usual matrices of these sizes ([`Matrix::of_size`]) |
 //! | range tv, pc | limited, full; untagged YCbCr is limited, untagged grey and RGB are full |
-//! | primaries bt2020, smpte431, smpte432 | zscale makes BT.709 of them, with the curve of BT.1886 for the BT.709 family |
-//! | other primaries | taken as BT.709's: those of BT.601 lie near, and players do the same |
-//! | transfer arib-std-b67, smpte2084 | high dynamic range: brought to BT.709 of standard range |
+//! | primaries bt2020, smpte431, smpte432 | zscale converts to BT.709, with the curve of BT.1886 for the BT.709 family |
+//! | other primaries | treated as BT.709's: those of BT.601 are close, and players do the same |
+//! | transfer arib-std-b67, smpte2084 | high dynamic range: converted to BT.709 of standard range |
 //! | transfer linear | the curve of sRGB is applied |
-//! | other transfers | taken as they are: samples are display-referred |
+//! | other transfers | none: samples are display-referred |
 
 /// The factors of one Y'CbCr matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,12 +36,12 @@ impl Matrix {
     /// Names for [`Matrix::named`].
     pub const NAMES: &[&str] = &["bt709", "bt601", "bt470bg", "smpte170m", "fcc", "smpte240m", "bt2020"];
 
-    /// The matrix taken for pictures of this size whose file does not name one.
+    /// Returns the matrix for pictures of this size whose file does not name one.
     pub fn of_size(width: usize, height: usize) -> Matrix {
         if width > 1024 || height > 576 { Matrix::BT709 } else { Matrix::BT601 }
     }
 
-    /// The matrix of this name, one of [`Matrix::NAMES`] or ffmpeg's `bt2020nc`.
+    /// Returns the matrix of this name: one of [`Matrix::NAMES`] or ffmpeg's `bt2020nc`.
     pub fn named(name: &str) -> Option<Matrix> {
         Some(match name {
             "bt709" => Matrix::BT709,
@@ -53,14 +53,14 @@ impl Matrix {
         })
     }
 
-    /// Red, green and blue of luma `y` in `[0, 1]` and chroma `b`, `r` in [−½,½].
+    /// Converts luma `y` in `[0, 1]` and chroma `b`, `r` in [−½,½] to red, green and blue.
     pub fn rgb(self, y: f32, b: f32, r: f32) -> [f32; 3] {
         let kg = 1.0 - self.kr - self.kb;
         let (to_r, to_b) = (2.0 * (1.0 - self.kr), 2.0 * (1.0 - self.kb));
         [y + to_r * r, (y - to_b * self.kb / kg * b) - to_r * self.kr / kg * r, y + to_b * b]
     }
 
-    /// Luma in `[0, 1]` and chroma in [−½,½] of a colour: the inverse of [`Matrix::rgb`].
+    /// Converts a colour to luma in `[0, 1]` and chroma in [−½,½]: the inverse of [`Matrix::rgb`].
     pub fn ycbcr(self, [red, green, blue]: [f32; 3]) -> [f32; 3] {
         let kg = 1.0 - self.kr - self.kb;
         let y = self.kr * red + kg * green + self.kb * blue;
@@ -76,7 +76,7 @@ pub(super) struct Tags {
     pub(super) transfer: Option<String>,
 }
 
-/// The curve of high dynamic range.
+/// A transfer curve of high dynamic range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Curve {
     /// Hybrid log-gamma (ARIB STD-B67, ITU-R BT.2100).
@@ -90,11 +90,11 @@ pub(super) enum Curve {
 pub(super) enum Conversion {
     /// Samples are red, green and blue already.
     Rgb,
-    /// Our own arithmetic; `guessed`: the file does not name its matrix.
+    /// Converted by our own arithmetic; `guessed`: the file does not name its matrix.
     Matrix { matrix: Matrix, guessed: bool },
-    /// zscale makes standard range and BT.709 of it. The names are inputs that the file does not state.
+    /// zscale converts it to BT.709 of standard range. `assumed` names the properties that the file does not state.
     HighRange { curve: Curve, assumed: String },
-    /// zscale converts it to BT.709; `from`: its tags, `options`: those of the filter.
+    /// zscale converts it to BT.709. `from` are the stream's tags, `options` the filter's.
     Zscale { from: String, options: String },
 }
 
@@ -102,11 +102,11 @@ pub(super) enum Conversion {
 const ELSEWHERE: [&str; 6] = ["bt2020c", "ictcp", "ycgco", "chroma-derived-nc", "chroma-derived-c", "smpte2085"];
 /// Primaries that are converted, with their names for people.
 const WIDE: [(&str, &str); 3] = [("bt2020", "BT.2020"), ("smpte431", "DCI-P3"), ("smpte432", "Display P3")];
-/// Transfers that zscale reads and writes; BT.709's is taken for others.
+/// Transfers that zscale reads and writes; for others, BT.709's is used.
 const CURVES: [&str; 6] = ["bt709", "smpte170m", "bt2020-10", "bt2020-12", "iec61966-2-1", "linear"];
 
 impl Tags {
-    /// Tags by the names that ffmpeg prints; `unknown` and `reserved` are no tags.
+    /// Parses tags in ffmpeg's names; `unknown` and `reserved` count as absent.
     pub(super) fn of(matrix: Option<&str>, primaries: Option<&str>, transfer: Option<&str>) -> Tags {
         let known = |name: Option<&str>| {
             name.filter(|name| !["unknown", "unspecified", "reserved", ""].contains(name)).map(ToOwned::to_owned)
@@ -114,8 +114,8 @@ impl Tags {
         Tags { matrix: known(matrix), primaries: known(primaries), transfer: known(transfer) }
     }
 
-    /// Conversion of pictures with these tags. `rgb`: their format is red, green and blue; `grey`: luma alone. `given`
-    /// replaces the file's matrix.
+    /// Returns the conversion of pictures with these tags. `rgb`: their format is red, green and blue; `grey`: luma
+    /// alone. `given` replaces the file's matrix.
     pub(super) fn conversion(&self, size: (usize, usize), rgb: bool, grey: bool, given: Option<Matrix>) -> Conversion {
         let tag = self.matrix.as_deref().filter(|name| rgb || *name != "gbr");
         let curve = match self.transfer.as_deref() {
@@ -136,20 +136,20 @@ impl Tags {
             let mut from = Vec::new();
             let transfer = self.transfer.as_deref().filter(|name| CURVES.contains(name));
             if transfer.is_none() {
-                // Filters need one to pass through light.
+                // The filters need a transfer to convert to linear light.
                 options += ":tin=bt709";
             }
             if linear {
                 options += ":t=iec61966-2-1";
                 from.push("linear light");
             } else {
-                // The curve does not change; both sides of the filter have its name.
+                // The curve does not change: input and output of the filter have the same one.
                 options += &format!(":t={}", transfer.unwrap_or("bt709"));
             }
             if let Some((_, name)) = wide {
                 from.push(*name);
             } else {
-                // Nothing is to be converted: both sides are the same.
+                // No conversion of primaries: input and output have the same ones.
                 options += ":pin=bt709";
             }
             if let Some(name) = elsewhere {
@@ -171,7 +171,7 @@ impl Tags {
     }
 }
 
-/// A matrix's name for zscale.
+/// Returns a matrix's name for zscale.
 fn zimg_name(matrix: Matrix) -> &'static str {
     match matrix {
         Matrix::BT709 => "709",
@@ -182,7 +182,7 @@ fn zimg_name(matrix: Matrix) -> &'static str {
     }
 }
 
-/// A matrix's name for people.
+/// Returns a matrix's name for messages.
 pub(super) fn title(matrix: Matrix) -> &'static str {
     match matrix {
         Matrix::BT709 => "BT.709",

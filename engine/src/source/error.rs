@@ -14,10 +14,10 @@ pub enum SourceError {
     Read {
         /// The file or folder.
         path: PathBuf,
-        /// The system's answer.
+        /// The system's error.
         cause: io::Error,
     },
-    /// An address where a file was expected.
+    /// An address (URL) where a file was expected.
     #[error(
         "{address}: expected a file or a folder, found an address: download it, or run ffmpeg -i {address} -f yuv4mpegpipe - | streamsplat run - --out OUT"
     )]
@@ -25,19 +25,19 @@ pub enum SourceError {
         /// The address.
         address: String,
     },
-    /// A folder without a single image.
+    /// A folder without images.
     #[error("{}: the folder holds no image (expected files ending in {})", path.display(), super::folder::EXTENSIONS.join(", "))]
     EmptyFolder {
         /// The folder.
         path: PathBuf,
     },
-    /// The file is empty.
+    /// An empty file.
     #[error("{}: the file is empty (0 bytes), expected an image", path.display())]
     EmptyFile {
         /// The file.
         path: PathBuf,
     },
-    /// The file is no image of a supported kind, or a broken one.
+    /// A file that is not an image of a supported kind, or a broken one.
     #[error("{}: {cause}", path.display())]
     Decode {
         /// The file.
@@ -45,7 +45,7 @@ pub enum SourceError {
         /// The decoder's message.
         cause: String,
     },
-    /// A frame that is larger than this program decodes.
+    /// A frame above the size limit of this program.
     #[error(
         "{}: the picture is {width}×{height}, expected at most {MAX_SIDE} pixels a side and {MAX_PIXELS} in all",
         path.display()
@@ -111,26 +111,26 @@ pub enum SourceError {
         /// The message of ffmpeg.
         cause: String,
     },
-    /// Frames of a video were read, but not all that the file should hold, or not as they were.
+    /// Frames of a video were read, but fewer than the file should have, or with errors.
     #[error("{}", damage(path, *announced, *read, *complaints, cause))]
     Damaged {
         /// The video file or stream.
         path: PathBuf,
-        /// Frames the file announces, about.
+        /// Approximate number of frames that the file declares.
         announced: Option<usize>,
         /// Frames read.
         read: usize,
-        /// How often its decoder complained.
+        /// Number of errors that its decoder reported.
         complaints: usize,
-        /// The first complaint.
+        /// The first of these errors.
         cause: String,
     },
-    /// A frame rate that is no positive number.
+    /// A frame rate that is not a positive number.
     #[error("frame rate {0}: expected a positive, finite number of frames per second")]
     FrameRate(f64),
 }
 
-/// The line of a damaged file.
+/// Formats the message on a damaged file.
 fn damage(path: &Path, announced: Option<usize>, read: usize, complaints: usize, cause: &str) -> String {
     let announced = announced.map_or_else(String::new, |frames| format!(" of about {frames} announced"));
     let more = if complaints > 1 { format!(" (first of {complaints} complaints)") } else { String::new() };

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{SourceError, natural};
 
-/// File name endings taken as images, in any case.
+/// File name endings of images, in any letter case.
 pub const EXTENSIONS: [&str; 14] =
     ["png", "apng", "jpg", "jpeg", "jfif", "bmp", "tif", "tiff", "webp", "exr", "ppm", "pgm", "tga", "qoi"];
 
@@ -18,8 +18,8 @@ pub(crate) fn ends_in(path: &Path, extensions: &[&str]) -> bool {
     path.extension().and_then(|e| e.to_str()).is_some_and(|e| extensions.contains(&e.to_ascii_lowercase().as_str()))
 }
 
-/// The files of `folder` whose names end in one of `extensions`, in natural order. Hidden files, subfolders and
-/// everything else are left out.
+/// Lists the files of `folder` whose names end in one of `extensions`, in natural order. Hidden files, subfolders and
+/// other files are left out.
 ///
 /// # Errors
 /// A folder that cannot be read.
@@ -38,10 +38,10 @@ pub(crate) fn list(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>, S
     Ok(files)
 }
 
-/// The images of `folder` in natural order.
+/// Lists the images of `folder` in natural order.
 ///
 /// # Errors
-/// A folder that cannot be read or holds no image.
+/// A folder that cannot be read or has no image.
 pub fn images(folder: &Path) -> Result<Vec<PathBuf>, SourceError> {
     let files = list(folder, &EXTENSIONS)?;
     if files.is_empty() {

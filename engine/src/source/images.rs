@@ -1,4 +1,4 @@
-//! Frames from image files: those of a folder, or the one file's.
+//! Frames from image files: the images of a folder, or the frames of one file.
 
 use std::path::{Path, PathBuf};
 
@@ -6,11 +6,11 @@ use super::decode::{self, Sequence, Several, Still};
 use super::{SourceError, folder};
 use crate::picture::Picture;
 
-/// Image files being read, a frame at a time.
+/// Image files being read, one frame at a time.
 pub(super) struct Images {
-    /// A frame each, or the one file of all frames.
+    /// A file per frame, or the one file of all frames.
     files: Vec<PathBuf>,
-    /// The frames of the one file, where it has several.
+    /// The frames of the one file, if it has several.
     sequence: Option<Sequence>,
     /// The first frame, read ahead for its notes.
     ahead: Option<Result<Option<Still>, SourceError>>,
@@ -19,18 +19,18 @@ pub(super) struct Images {
 }
 
 impl Images {
-    /// The images of a folder in natural order, a frame each.
+    /// Opens the images of a folder in natural order, a frame each.
     ///
     /// # Errors
-    /// A folder that cannot be read or holds no image.
+    /// A folder that cannot be read or has no image.
     pub fn folder(path: &Path) -> Result<Images, SourceError> {
         Ok(Images::new(folder::images(path)?, None))
     }
 
-    /// The frames of one file.
+    /// Opens the frames of one file.
     ///
     /// # Errors
-    /// A file that cannot be read, or of several frames that are broken from their start.
+    /// A file that cannot be read, or one of several frames that is broken from its start.
     pub fn file(path: &Path) -> Result<Images, SourceError> {
         let bytes = decode::read_file(path)?;
         let sequence = match Several::of(&bytes, path)? {
@@ -42,42 +42,42 @@ impl Images {
 
     fn new(files: Vec<PathBuf>, sequence: Option<Sequence>) -> Images {
         let mut images = Images { files, sequence, ahead: None, next: 0, notes: Vec::new() };
-        // A broken first image is the error of the first frame.
+        // The error of a broken first image is returned with the first frame.
         images.ahead = Some(images.read());
         images
     }
 
-    /// The files, where each is a frame.
+    /// Returns the files, if each is a frame.
     pub fn files(&self) -> Option<&[PathBuf]> {
         self.sequence.is_none().then_some(&self.files)
     }
 
-    /// How many frames there are.
+    /// Returns the number of frames.
     pub fn frames(&self) -> usize {
         self.sequence.as_ref().map_or(self.files.len(), Sequence::len)
     }
 
-    /// Frames per second as a fraction, if the file has a constant rate.
+    /// Returns the frames per second as a fraction, if the file has a constant rate.
     pub fn rate(&self) -> Option<(u64, u64)> {
         self.sequence.as_ref().and_then(Sequence::rate)
     }
 
-    /// Seconds from the first frame to the last and the number of frames, where they are not shown equally long.
+    /// Returns the seconds from the first frame to the last and the number of frames, if durations differ.
     pub fn uneven(&self) -> Option<(f64, usize)> {
         self.sequence.as_ref().and_then(|sequence| Some((*sequence.times()?.last()?, sequence.len())))
     }
 
-    /// When frame `index` is shown, in seconds since the first, where frames are not shown equally long.
+    /// Returns the time of frame `index`, in seconds since the first, if durations differ.
     pub fn time(&self, index: usize) -> Option<f64> {
         self.sequence.as_ref()?.times()?.get(index).copied()
     }
 
-    /// Conversions of the frames read so far, and of the next one if already read; each line once.
+    /// Returns notes on the conversions of the frames read so far, including one read ahead; each line once.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// The next frame and its file; `None` at the end.
+    /// Returns the next frame and its file; `None` at the end.
     ///
     /// # Errors
     /// A frame that cannot be read.

@@ -8,15 +8,15 @@ use crate::picture::{Picture, size_is_allowed};
 /// Path of frames in memory, in messages and records.
 pub const MEMORY: &str = "<memory>";
 
-/// A frame with its time in seconds, if it has one, or why there is none.
+/// A frame with its time in seconds, if it has one, or the reason why there is none.
 pub type FrameInMemory = Result<(Picture, Option<f64>), String>;
 
-/// Frames as they come, the first two read ahead for their times.
+/// Frames in order of arrival, the first two read ahead for their times.
 pub(super) struct Memory {
     frames: Box<dyn Iterator<Item = FrameInMemory> + Send>,
     ahead: VecDeque<FrameInMemory>,
     count: Option<usize>,
-    /// Time of the frame before.
+    /// Time of the previous frame.
     last: Option<f64>,
 }
 
@@ -29,7 +29,7 @@ impl Memory {
         self.count
     }
 
-    /// Seconds between the first two frames, where both have times.
+    /// Returns the seconds between the first two frames, if both have times.
     pub(super) fn step(&mut self) -> Result<Option<f64>, SourceError> {
         self.ahead.extend(self.frames.by_ref().take(2));
         let time = |i: usize| self.ahead.get(i).and_then(|frame| frame.as_ref().ok()).and_then(|(_, time)| *time);
@@ -38,7 +38,7 @@ impl Memory {
         Ok(Some(second - first))
     }
 
-    /// The next frame; `None` at the end.
+    /// Returns the next frame; `None` at the end.
     pub(super) fn next_frame(&mut self) -> Result<Option<(Picture, Option<f64>)>, SourceError> {
         let Some(frame) = self.ahead.pop_front().or_else(|| self.frames.next()) else { return Ok(None) };
         let (picture, time) = frame.map_err(wrong)?;
@@ -62,7 +62,7 @@ impl Memory {
     }
 }
 
-/// An error unless `time` is finite and after the one before.
+/// Returns an error unless `time` is finite and after the previous one.
 fn check(before: Option<f64>, time: f64) -> Result<(), SourceError> {
     if time.is_finite() && before.is_none_or(|before| before < time) {
         return Ok(());

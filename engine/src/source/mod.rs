@@ -3,15 +3,15 @@
 //! | input | meaning |
 //! |---|---|
 //! | a folder | its images ([`folder::EXTENSIONS`]) in natural order; hidden and other files are ignored |
-//! | an image file | a video of one frame; of all its frames where it is an animated PNG or WebP, of its pages where it is a TIFF |
+//! | an image file | a video of one frame; for an animated PNG or WebP, of all its frames; for a TIFF, of its pages |
 //! | `*.y4m`, or a file that starts as one | read by [`y4m`] |
 //! | `-` | y4m on standard input |
 //! | any other file | decoded by an installed [`ffmpeg`] program |
 //!
-//! Frame i has the timestamp `i / fps`: the rate is [`Options::fps`] when set, else the stream's own, else
-//! [`DEFAULT_FPS`]. Frames of video files and animations have their own times where no rate is set; where those of a
-//! video are those of its rate, they are `i / fps`, too. All frames of a source have one size; a frame that differs is
-//! an error naming it and both sizes. What colours mean is decided in [`colour`].
+//! Frame i has the timestamp `i / fps`. The rate is [`Options::fps`] if set, else the stream's own, else
+//! [`DEFAULT_FPS`]. If no rate is set, frames of video files and animations have their own times. A video whose own
+//! times match its rate has `i / fps` too. All frames of a source have one size; a frame of another size is an error
+//! with both sizes. The meaning of colours is decided in [`colour`].
 
 pub mod colour;
 pub mod decode;
@@ -41,19 +41,19 @@ use y4m::Y4m;
 /// The header of a y4m frame without parameters.
 const FRAME: &[u8] = b"FRAME\n";
 
-/// Frames per second where neither the user nor the stream sets a rate.
+/// Frames per second if neither the user nor the stream sets a rate.
 pub const DEFAULT_FPS: f64 = 24.0;
 
-/// How to read a source.
+/// Options of reading a source.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Options {
-    /// Frames per second, in place of the stream's own.
+    /// Frames per second, instead of the stream's own.
     pub fps: Option<f64>,
-    /// The matrix of Y'CbCr, in place of the stream's own or of that of its size.
+    /// The Y'CbCr matrix, instead of the stream's own or the one chosen by size.
     pub matrix: Option<Matrix>,
 }
 
-/// A frame with its place in time.
+/// A frame with its time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimedPicture {
     /// Position in the source, from 0.
@@ -78,13 +78,13 @@ pub struct Source {
     path: PathBuf,
     /// Frames per second as a fraction.
     rate: (f64, f64),
-    /// True if the times of a video file's frames are taken.
+    /// True if the times of a video file's own frames are used.
     own_times: bool,
-    /// Width and height of pictures whose pixels are made square.
+    /// Width and height of pictures after their pixels are made square.
     square: Option<(usize, usize)>,
     next: usize,
     first: Option<(PathBuf, (usize, usize))>,
-    /// Conversions and parts left out.
+    /// Conversions, and parts that are left out.
     notes: Vec<String>,
 }
 
@@ -96,7 +96,7 @@ enum Input {
     Memory(Memory),
 }
 
-/// The error of an input that is not there.
+/// Returns the error of a missing input.
 fn missing(input: &Path, cause: std::io::Error) -> SourceError {
     match input.to_str().filter(|text| text.contains("://")) {
         Some(address) => SourceError::Address { address: address.to_owned() },
@@ -104,8 +104,7 @@ fn missing(input: &Path, cause: std::io::Error) -> SourceError {
     }
 }
 
-/// Returns true if `input` is a file that [`Source::open`] passes to ffmpeg: neither a folder, an image, y4m nor
-/// standard input.
+/// Returns true if [`Source::open`] passes `input` to ffmpeg: it is neither a folder, an image, y4m nor standard input.
 pub fn is_encoded(input: &Path) -> bool {
     let is_file = input != Path::new("-") && input.is_file() && !folder::is_image(input);
     is_file && starts_as_y4m(input).is_ok_and(|y4m| !y4m)
@@ -115,8 +114,8 @@ impl Source {
     /// Opens `input` (see the table above).
     ///
     /// # Errors
-    /// Nothing readable there, an empty folder, a stream that does not start as one, ffmpeg needed but missing, a rate
-    /// that is not positive and finite.
+    /// No readable input, an empty folder, a stream with an invalid start, ffmpeg needed but missing, or a rate that is
+    /// not positive and finite.
     pub fn open(input: &Path, options: &Options) -> Result<Source, SourceError> {
         if let Some(fps) = options.fps
             && !(fps.is_finite() && fps > 0.0)
@@ -186,9 +185,9 @@ impl Source {
         Ok(Source { kind, path, rate, own_times, square, next: 0, first: None, notes })
     }
 
-    /// Frames from memory: pictures of one size with their times in seconds, or without. `fps` replaces their times;
-    /// without it frames are as far apart as the first two, or follow each other at [`DEFAULT_FPS`] where they have no
-    /// times. `count` is their number, if it is fixed beforehand.
+    /// Reads frames from memory: pictures of one size with or without times in seconds. `fps` replaces the times.
+    /// Without `fps`, the spacing of the first two frames sets the rate, or [`DEFAULT_FPS`] if they have no times.
+    /// `count` is the number of frames, if it is known beforehand.
     ///
     /// # Errors
     /// A rate that is not positive and finite, and the first two frames' errors.
@@ -217,7 +216,7 @@ impl Source {
         })
     }
 
-    /// Seconds from the beginning of a video file, which may be that of its sound, to its first frame.
+    /// Returns the seconds from the beginning of a video file, which may be the start of its sound, to its first frame.
     pub fn start(&self) -> f64 {
         match &self.kind {
             Input::Ffmpeg(video) => video.start(),
@@ -225,8 +224,8 @@ impl Source {
         }
     }
 
-    /// How many frames there are, where that is found without decoding them: [`Source::frames`], or those of a video
-    /// file, counted, where some may turn out not to be shown.
+    /// Returns the number of frames, if it can be found without decoding them: [`Source::frames`], or the counted
+    /// frames of a video file, of which some may turn out not to be shown.
     pub fn counted_frames(&self) -> Option<usize> {
         match &self.kind {
             Input::Ffmpeg(video) => video.counted_frames(),
@@ -234,7 +233,7 @@ impl Source {
         }
     }
 
-    /// The sound track of a video file, if it has one.
+    /// Returns the sound track of a video file, if it has one.
     pub fn sound(&self) -> Option<Sound> {
         match &self.kind {
             Input::Ffmpeg(video) => video.sound(),
@@ -242,8 +241,8 @@ impl Source {
         }
     }
 
-    /// Conversions of the pictures on the way in and parts of the input that are left out, a line each. For image files
-    /// and video files lines are added as frames are read.
+    /// Returns notes on conversions of the pictures and parts of the input that are left out, a line each. For image
+    /// files and video files, lines are added as frames are read.
     pub fn notes(&self) -> &[String] {
         match &self.kind {
             Input::Images(images) => images.notes(),
@@ -252,7 +251,7 @@ impl Source {
         }
     }
 
-    /// Number of frames, where it is known beforehand: image files, and a y4m file of whole frames.
+    /// Returns the number of frames, if it is known beforehand: for image files, and for a y4m file of whole frames.
     pub fn frames(&self) -> Option<usize> {
         match &self.kind {
             Input::Images(images) => Some(images.frames()),
@@ -267,7 +266,8 @@ impl Source {
         }
     }
 
-    /// Expected number of frames, for progress: [`Source::frames`], or a video file's own metadata.
+    /// Returns the expected number of frames, for progress: [`Source::frames`], or the number in a video file's
+    /// metadata.
     pub fn expected_frames(&self) -> Option<usize> {
         match &self.kind {
             Input::Ffmpeg(video) => video.expected_frames(),
@@ -275,7 +275,7 @@ impl Source {
         }
     }
 
-    /// The image files, where the frames are files.
+    /// Returns the image files, if the frames are files.
     pub fn files(&self) -> Option<&[PathBuf]> {
         match &self.kind {
             Input::Images(images) => images.files(),
@@ -283,7 +283,7 @@ impl Source {
         }
     }
 
-    /// Frames per second.
+    /// Returns the frames per second.
     pub fn fps(&self) -> f64 {
         self.rate.0 / self.rate.1
     }
@@ -302,7 +302,7 @@ impl Source {
         self.own_times && known
     }
 
-    /// The next frame; `None` at the end.
+    /// Returns the next frame; `None` at the end.
     ///
     /// # Errors
     /// A frame that cannot be read or has another size than the first.
@@ -428,7 +428,7 @@ mod tests {
             picture.to_rgb8()[..3].to_vec()
         };
         assert_eq!(read(Some(Matrix::BT709)), [200, 40, 40]);
-        // By its size it is BT.601.
+        // Chosen by size, it would be BT.601.
         assert_ne!(read(None), [200, 40, 40]);
     }
 
@@ -455,7 +455,7 @@ mod tests {
         assert_eq!(notes("colour.png", image::DynamicImage::new_rgb8(3, 2)), 0);
     }
 
-    /// Red and time of every frame of a file.
+    /// Returns red and time of every frame of a file.
     fn frames(path: &Path, bytes: &[u8], options: Options) -> Vec<(f32, f64)> {
         std::fs::write(path, bytes).expect("writable");
         let mut source = Source::open(path, &options).expect("an image");
@@ -488,7 +488,7 @@ mod tests {
         assert_eq!(frames(&webp, &even, Options::default()), [(0.0, 0.0), (1.0, 0.25), (0.2, 0.5)]);
         let uneven = decode::tests::animated_webp(&[(rgb(0), 500), (rgb(255), 250), (rgb(51), 70)]);
         assert_eq!(frames(&webp, &uneven, Options::default()), [(0.0, 0.0), (1.0, 0.5), (0.2, 0.75)]);
-        // A frame that is not there is an error, not an end.
+        // A missing frame is an error, not an end.
         let cut = uneven.len() - 40;
         std::fs::write(&webp, &uneven[..cut]).expect("writable");
         let mut source = Source::open(&webp, &Options::default());
@@ -497,7 +497,7 @@ mod tests {
             Err(e) => Some(e.to_string()),
         };
         assert!(error.is_some_and(|e| e.contains("cut off: expected")));
-        // In a folder a file is a frame.
+        // In a folder, each file is a frame.
         let error =
             Source::open(folder.path(), &Options::default()).expect("a folder").next_frame().expect_err("refused");
         assert!(
@@ -514,7 +514,7 @@ mod tests {
         let mut encoder = tiff::encoder::TiffEncoder::new(&mut pages).expect("memory");
         for (level, kind) in [(0, 0), (51, 1), (255, 2)] {
             let mut image = encoder.new_image::<tiff::encoder::colortype::Gray8>(1, 1).expect("memory");
-            // A reduced copy is no page.
+            // A reduced copy does not count as a page.
             image.encoder().write_tag(tiff::tags::Tag::NewSubfileType, kind as u32).expect("memory");
             image.write_data(&[level]).expect("memory");
         }

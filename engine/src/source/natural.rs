@@ -2,11 +2,11 @@
 
 use std::cmp::Ordering;
 
-/// Compares names so that runs of digits count as numbers.
+/// Compares names with runs of digits compared as numbers.
 ///
-/// The names are cut into single bytes and runs of ASCII digits. Pieces are compared in turn: two runs by value
-/// (leading zeros do not count, any length), everything else by byte. Names that are equal in that sense (`a1`, `a01`)
-/// are ordered by their bytes, so the order is total: only identical names are equal.
+/// The names are split into single bytes and runs of ASCII digits. Pieces are compared in turn: two runs by value (of
+/// any length, leading zeros ignored), everything else by byte. Names that compare equal in this way (`a1`, `a01`) are
+/// ordered by their bytes. So the order is total: only identical names are equal.
 pub fn compare(left: &[u8], right: &[u8]) -> Ordering {
     let (mut a, mut b) = (left, right);
     loop {
@@ -17,7 +17,7 @@ pub fn compare(left: &[u8], right: &[u8]) -> Ordering {
             (Some(x), Some(y)) if x.is_ascii_digit() && y.is_ascii_digit() => {
                 let (run_a, rest_a) = digits(a);
                 let (run_b, rest_b) = digits(b);
-                // Without leading zeros a longer run is a larger number.
+                // Without leading zeros, the longer run is the larger number.
                 let order = run_a.len().cmp(&run_b.len()).then_with(|| run_a.cmp(run_b));
                 if order != Ordering::Equal {
                     return order;
@@ -34,7 +34,7 @@ pub fn compare(left: &[u8], right: &[u8]) -> Ordering {
     }
 }
 
-/// The leading run of digits without its leading zeros, and what follows it.
+/// Splits off the leading run of digits, without its leading zeros.
 fn digits(name: &[u8]) -> (&[u8], &[u8]) {
     let end = name.iter().position(|c| !c.is_ascii_digit()).unwrap_or(name.len());
     let (run, rest) = name.split_at(end);

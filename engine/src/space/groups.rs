@@ -1,23 +1,24 @@
-//! Gaussians in groups of neighbours, for many images that each show a part of a scene.
+//! Gaussians in groups of neighbours, to skip most of a scene in images that show only a part of it.
 
 use rayon::prelude::*;
 use streamsplat_kernels::raster::ALPHA_MIN;
 
 use super::window::{LARGEST, Window, reach};
 
-/// Gaussians of a group.
+/// Gaussians per group.
 const GROUP: usize = 64;
-/// Steps of the lattice along each axis on which neighbours are found, as a power of two.
+/// Bits per axis of the lattice of the Z-order curve.
 const STEPS: u32 = 21;
 
 /// A scene's Gaussians, 64 to a group along a Z-order curve through their centres, each group with its bounds.
 ///
-/// [`Groups::seen`] tests groups with the [`Window`] first and then the members of those that it does not miss.
+/// [`Groups::seen`] tests whole groups against the [`Window`] first, and then the members of the groups that may be
+/// visible.
 #[derive(Clone, Debug)]
 pub(crate) struct Groups {
     members: Vec<Member>,
     bounds: Vec<Bounds>,
-    /// Gaussians without a bound: with a number that is not finite (counted when drawn), huge, or not `tame`.
+    /// Gaussians without a bound: not `tame`, huge, or with a number that is not finite (these are counted when drawn).
     others: Vec<u32>,
     count: usize,
 }
@@ -37,7 +38,8 @@ struct Bounds {
 }
 
 impl Groups {
-    /// Groups Gaussians by their centres. One that is not `tame` is in no group and is never left out of an image.
+    /// Groups Gaussians by their centres. A Gaussian that is not `tame` is put into no group, and [`Groups::seen`]
+    /// always returns it.
     pub(crate) fn new(
         mean: &[[f32; 3]],
         scale: &[[f32; 3]],
@@ -72,8 +74,8 @@ impl Groups {
         Self { members, bounds, others, count: mean.len() }
     }
 
-    /// The places of all Gaussians that the image might show, ascending; `None` where that are more than half of them,
-    /// which are drawn sooner than taken out.
+    /// Returns the indices of all Gaussians that the image might show, ascending. `None` if they are more than half of
+    /// all: drawing all is then faster than extracting them.
     pub(crate) fn seen(&self, window: &Window) -> Option<Vec<u32>> {
         let mut places: Vec<u32> = self
             .bounds
@@ -96,7 +98,7 @@ impl Groups {
 }
 
 impl Bounds {
-    /// Bounds of at least one member.
+    /// Returns the bounds of at least one member.
     fn of(members: &[Member]) -> Self {
         let (mut least, mut greatest, mut reach) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3], 0.0_f32);
         for member in members {
@@ -115,7 +117,7 @@ impl Bounds {
     }
 }
 
-/// The place of a point of a box on the Z-order curve through it: the bits of its coordinates in turn.
+/// Returns the index of a point of a box on the Z-order curve through it: the bits of its coordinates interleaved.
 fn place_on_curve(point: [f32; 3], least: [f32; 3], greatest: [f32; 3]) -> u64 {
     let step = |axis: usize| {
         let [at, from, to] = [point[axis], least[axis], greatest[axis]].map(f64::from);
@@ -125,7 +127,7 @@ fn place_on_curve(point: [f32; 3], least: [f32; 3], greatest: [f32; 3]) -> u64 {
     (0..3).map(|axis| spread(step(axis)) << axis).sum()
 }
 
-/// These places, ordered along the curve through the centres, which are finite; equal ones keep their order.
+/// Orders these indices along the curve through the centres, which are finite; equal ones keep their order.
 pub(crate) fn along_curve(mean: &[[f32; 3]], mut places: Vec<usize>) -> Vec<usize> {
     let bounds = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     let (least, greatest) = places.iter().fold(bounds, |(least, greatest), &i| {
@@ -135,7 +137,7 @@ pub(crate) fn along_curve(mean: &[[f32; 3]], mut places: Vec<usize>) -> Vec<usiz
     places
 }
 
-/// A number of 21 bits with two zeros after each.
+/// Spreads 21 bits, with two zeros after each.
 fn spread(x: u64) -> u64 {
     let x = (x | x << 32) & 0x001f_0000_0000_ffff;
     let x = (x | x << 16) & 0x001f_0000_ff00_00ff;

@@ -1,26 +1,26 @@
-//! Questions about space rather than pixels: which Gaussians a ray may touch, which lie in a camera's frustum, whose
-//! footprint a point is in.
+//! Spatial queries: which Gaussians a ray may touch, which are in a camera's frustum, whose footprint contains a point.
 //!
-//! A [`Tree`] holds axis-aligned boxes in a bounding volume hierarchy (`obvhs`). The hierarchy only proposes; each
-//! box is tested in binary64. So every result equals that of testing all boxes, in
-//! ascending order, for any shape of the hierarchy.
+//! A [`Tree`] holds axis-aligned boxes in a bounding volume hierarchy (`obvhs`). The hierarchy only proposes
+//! candidates; each box is tested in binary64. So every result equals that of testing all boxes, in ascending order,
+//! for any shape of the hierarchy.
 //!
 //! [`Picker`] uses it for the most visible Gaussian along rays. *Matching of frames* ([`crate::stream`]) does not,
-//! because bins on the frame's lattice find the same pairs sooner.
+//! because bins on the frame's lattice find the same pairs faster.
 //!
 //! # Images of a part of a scene
 //!
-//! A frustum does not bound what an image shows: the affine footprint of a Gaussian outside a pinhole's frustum can
-//! reach into the image. `Window` bounds the rasteriser's footprints instead, of one Gaussian or of a box of centres.
-//! What it misses, where that is more than half of a scene, is left out before anything of it is computed. The image
-//! keeps its bits; [`Renderer::left_out`](crate::render::Renderer::left_out) counts.
+//! A frustum does not bound the content of an image: the affine footprint of a Gaussian outside a pinhole's frustum can
+//! reach into the image. `Window` therefore bounds the rasteriser's footprints, of one Gaussian or of a box of centres.
+//! Gaussians outside the image are left out before they are projected, if they are at least half of the scene. The
+//! image keeps its bits; [`Renderer::left_out`](crate::render::Renderer::left_out) counts them.
 //!
-//! Still scenes are drawn so ([`Drawable::grouped`](crate::still::Drawable::grouped)), for a camera path shows many
-//! images of one: their Gaussians are asked in groups of 64 neighbours along a Z-order curve. Intervals are not: each
-//! shows a few images, and grouping its Gaussians, once for all of its times, takes longer than two of them; asking
-//! every Gaussian once it has been taken to the image's time takes as long as projecting it. `streamsplat bench raster
-//! --only part` measures images, groups, and a hierarchy over the Gaussians, which takes about three times as long to
-//! make as the groups.
+//! This is used for still scenes ([`Drawable::grouped`](crate::still::Drawable::grouped)), because a camera path shows
+//! many images of one scene: their Gaussians are tested in groups of 64 neighbours along a Z-order curve. It is not
+//! used for intervals, of which each shows only a few images. Grouping an interval's Gaussians once for all of its
+//! times takes longer than two images. Testing every Gaussian at the image's time takes as long as projecting it.
+//!
+//! `streamsplat bench raster --only part` measures images, groups, and a hierarchy over the Gaussians, which takes
+//! about three times as long to build as the groups.
 
 mod groups;
 mod pick;
@@ -54,15 +54,15 @@ pub struct Bounds {
 /// The half space `normal · p + offset ≥ 0`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HalfSpace {
-    /// Need not have length one.
+    /// Normal of any length.
     pub normal: [f32; 3],
     /// Distance of the origin, in lengths of the normal.
     pub offset: f32,
 }
 
 impl Bounds {
-    /// Where an unrotated Gaussian's α can reach 1/255: `|p − mean| ≤ √(2·ln(255·opacity))·scale` along each axis.
-    /// `None` where it can nowhere, or where a number is not finite.
+    /// Returns the box in which an unrotated Gaussian's α can reach 1/255: `|p − mean| ≤ √(2·ln(255·opacity))·scale`
+    /// along each axis. `None` if α never reaches it, or if a number is not finite.
     pub fn of_gaussian(mean: [f32; 3], scale: [f32; 3], opacity: f32) -> Option<Self> {
         let reach = reach(opacity)?;
         let half: [f64; 3] = std::array::from_fn(|i| reach * f64::from(scale[i]).abs());
@@ -78,7 +78,7 @@ impl Bounds {
         (0..3).all(|i| self.least[i].is_finite() && self.greatest[i].is_finite() && self.least[i] <= self.greatest[i])
     }
 
-    /// Returns true if the ray from `origin` along `direction` meets the box; its surface belongs to it.
+    /// Returns true if the ray from `origin` along `direction` meets the box, whose surface belongs to it.
     pub fn meets_ray(&self, origin: [f32; 3], direction: [f32; 3]) -> bool {
         let (mut enter, mut leave) = (0.0_f64, f64::INFINITY);
         for i in 0..3 {
@@ -102,7 +102,7 @@ impl Bounds {
         (0..3).all(|i| self.least[i] <= other.greatest[i] && other.least[i] <= self.greatest[i])
     }
 
-    /// Returns true if some corner lies in the half space.
+    /// Returns true if some corner is in the half space.
     pub fn reaches(&self, side: &HalfSpace) -> bool {
         let far = |i: usize| if side.normal[i] > 0.0 { self.greatest[i] } else { self.least[i] };
         let sum: f64 = (0..3).map(|i| f64::from(side.normal[i]) * f64::from(far(i))).sum();
@@ -110,13 +110,13 @@ impl Bounds {
     }
 }
 
-/// Standard deviations from the centre at which α falls to 1/255; `None` where it never reaches it.
+/// Returns the number of standard deviations from the centre at which α falls to 1/255; `None` if α never reaches it.
 fn reach(opacity: f32) -> Option<f64> {
     let ratio = 255.0 * f64::from(opacity);
     (ratio.is_finite() && ratio >= 1.0).then(|| (2.0 * streamsplat_kernels::math::f64::ln(ratio)).sqrt())
 }
 
-/// Boxes that can be searched.
+/// Boxes in a hierarchy for queries.
 pub struct Tree {
     hierarchy: Bvh2,
     boxes: Vec<Bounds>,
@@ -125,7 +125,7 @@ pub struct Tree {
 }
 
 impl Tree {
-    /// A tree over some boxes, which keep the numbers they come with. Boxes that are not sound are left out.
+    /// Builds a tree of numbered boxes. Boxes that are not sound are left out.
     pub fn new(boxes: impl IntoIterator<Item = (u32, Bounds)>) -> Self {
         let (numbers, boxes): (Vec<u32>, Vec<Bounds>) = boxes.into_iter().filter(|(_, b)| b.is_sound()).unzip();
         let corners: Vec<Aabb> = boxes.iter().map(corners).collect();
@@ -133,7 +133,7 @@ impl Tree {
         Self { hierarchy, boxes, numbers }
     }
 
-    /// The footprints of a snapshot's Gaussians, by their places in the snapshot.
+    /// Builds a tree of the footprints of a snapshot's Gaussians, numbered by their index in the snapshot.
     pub fn of(snapshot: &Snapshot) -> Self {
         Self::new((0..snapshot.mean.len()).filter_map(|i| {
             let bounds = Bounds::of_gaussian(snapshot.mean[i], snapshot.scale[i], snapshot.opacity[i])?;
@@ -141,7 +141,7 @@ impl Tree {
         }))
     }
 
-    /// Boxes held.
+    /// Returns the number of boxes.
     pub fn len(&self) -> usize {
         self.boxes.len()
     }
@@ -151,8 +151,8 @@ impl Tree {
         self.boxes.is_empty()
     }
 
-    /// The boxes that the ray from `origin` along `direction` meets, ascending. None where a number is not finite or
-    /// the direction is zero.
+    /// Returns the boxes that the ray from `origin` along `direction` meets, ascending; none if a number is not finite
+    /// or the direction is zero.
     pub fn along_ray(&self, origin: [f32; 3], direction: [f32; 3]) -> Vec<u32> {
         let finite = origin.iter().chain(&direction).all(|v| v.is_finite());
         if !finite || direction == [0.0; 3] {
@@ -161,19 +161,19 @@ impl Tree {
         self.search(|bounds| bounds.meets_ray(origin, direction))
     }
 
-    /// The boxes that have a point in common with `bounds`, ascending.
+    /// Returns the boxes that have a point in common with `bounds`, ascending.
     pub fn overlapping(&self, bounds: &Bounds) -> Vec<u32> {
         self.search(|other| other.overlaps(bounds))
     }
 
-    /// The boxes that reach into every half space, ascending: at least those that meet their intersection, such as a
-    /// camera's frustum.
+    /// Returns the boxes that reach into every half space, ascending. They include all boxes that meet the intersection
+    /// of the half spaces, such as a camera's frustum.
     pub fn inside(&self, sides: &[HalfSpace]) -> Vec<u32> {
         self.search(|bounds| sides.iter().all(|side| bounds.reaches(side)))
     }
 
-    /// The Gaussian of `snapshot` (which this tree was built from) in whose footprint `point` lies and to whose centre
-    /// it is nearest, measured in standard deviations; the lowest place among equals.
+    /// Returns the Gaussian of `snapshot` (from which this tree was built) whose footprint contains `point` and whose
+    /// centre is nearest, in standard deviations; the lowest index among equals.
     pub fn nearest_footprint(&self, snapshot: &Snapshot, point: [f32; 3]) -> Option<u32> {
         let mut best: Option<(f64, u32)> = None;
         for place in self.overlapping(&Bounds { least: point, greatest: point }) {
@@ -193,8 +193,8 @@ impl Tree {
         best.map(|(_, place)| place)
     }
 
-    /// The numbers of the boxes with `wanted` true, ascending. If `wanted` is true of a box, it is true of every box
-    /// around it.
+    /// Returns the numbers of the boxes with `wanted` true, ascending. If `wanted` is true of a box, it must be true of
+    /// every enclosing box.
     fn search(&self, wanted: impl Fn(&Bounds) -> bool) -> Vec<u32> {
         let mut found = Vec::new();
         let nodes = &self.hierarchy.nodes;
@@ -221,7 +221,7 @@ impl Tree {
     }
 }
 
-/// In the hierarchy's form; unions of boxes take corners as they are, without rounding.
+/// Converts a box to the hierarchy's type. Unions take corners unchanged, without rounding.
 fn corners(bounds: &Bounds) -> Aabb {
     Aabb::new(Vec3A::from_array(bounds.least), Vec3A::from_array(bounds.greatest))
 }

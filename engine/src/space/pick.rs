@@ -8,22 +8,22 @@ use crate::render::Snapshot;
 /// A ray in scene space (x right, y down, z forward).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
-    /// Where it starts.
+    /// Its start.
     pub origin: [f32; 3],
-    /// Where it goes; need not have length one.
+    /// Its direction, of any length.
     pub direction: [f32; 3],
 }
 
-/// Gaussian that a ray sees.
+/// The Gaussian that a ray sees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// Place in the snapshot.
+    /// Index in the snapshot.
     pub place: u32,
-    /// Its share of the pixel: αT, at most 1.
+    /// Its share of the pixel, αT, at most 1.
     pub weight: f64,
 }
 
-/// Gaussians at one time, ready to be picked along many rays.
+/// Gaussians at one time, prepared for picking along many rays.
 ///
 /// With m and σ² the centre and the variances of a Gaussian (each widened by `blur`), e = m − origin and d the
 /// direction,
@@ -32,12 +32,13 @@ pub struct Hit {
 /// α = min(0.99, opacity·exp(−½·min_t |(e − t·d)/σ|²))     min_t |(e − t·d)/σ|² = |(e × d)·σ|² / |d·σσ|²
 /// ```
 ///
-/// with the products by components, `(d·σσ)_i = d_i·σ_j·σ_k`. Front to back by e·d (ties: lower place first), as far as
-/// T, the product of 1 − α, stays at 1e-4 or above; α under 1/255 is skipped, and so are Gaussians behind the origin.
-/// The largest αT is the answer, the frontmost among equals. Binary64, sums from left to right.
+/// with the products by components, `(d·σσ)_i = d_i·σ_j·σ_k`. Gaussians are visited front to back by e·d (ties: lower
+/// index first), while T, the product of 1 − α, is at least 1e-4. Gaussians with α under 1/255 and those behind the
+/// origin are skipped. The result is the Gaussian with the largest αT, the frontmost among equals. All arithmetic is in
+/// binary64, sums from left to right.
 ///
-/// For a ray along z with the blur of the pixel grid this is what a pixel of the canonical camera shows
-/// (see [`streamsplat_kernels::raster`]).
+/// For a ray along z with the blur of the pixel grid, this is the Gaussian that dominates a pixel of the canonical
+/// camera (see [`streamsplat_kernels::raster`]).
 pub struct Picker {
     snapshot: Snapshot,
     blur: [f64; 3],
@@ -45,25 +46,25 @@ pub struct Picker {
 }
 
 impl Picker {
-    /// Makes a snapshot's Gaussians ready, their variances widened by `blur` along x, y and z.
+    /// Prepares a snapshot's Gaussians, with their variances widened by `blur` along x, y and z.
     pub fn new(snapshot: Snapshot, blur: [f64; 3]) -> Self {
         let boxes = (0..snapshot.mean.len()).filter_map(|i| Some((i as u32, bounds(&snapshot, blur, i)?)));
         let tree = Tree::new(boxes);
         Self { snapshot, blur, tree }
     }
 
-    /// The Gaussians.
+    /// Returns the Gaussians.
     pub fn snapshot(&self) -> &Snapshot {
         &self.snapshot
     }
 
-    /// Gaussian that shows most along the ray; the same as [`most_visible`], without looking at every Gaussian.
+    /// Returns the most visible Gaussian along the ray; the same as [`most_visible`], without testing every Gaussian.
     pub fn pick(&self, ray: &Ray) -> Option<Hit> {
         blend(&self.snapshot, self.blur, ray, self.tree.along_ray(ray.origin, ray.direction))
     }
 }
 
-/// Gaussian that shows most along the ray, found by looking at every Gaussian: for a single ray the faster way.
+/// Returns the most visible Gaussian along the ray by testing every Gaussian, which is faster for a single ray.
 pub fn most_visible(snapshot: &Snapshot, blur: [f64; 3], ray: &Ray) -> Option<Hit> {
     let met =
         |i: &u32| bounds(snapshot, blur, *i as usize).is_some_and(|bounds| bounds.meets_ray(ray.origin, ray.direction));
@@ -74,7 +75,7 @@ pub fn most_visible(snapshot: &Snapshot, blur: [f64; 3], ray: &Ray) -> Option<Hi
     blend(snapshot, blur, ray, (0..snapshot.mean.len() as u32).filter(met))
 }
 
-/// A box around everything of a Gaussian on which α can reach 1/255.
+/// Returns a box around the region where a Gaussian's α can reach 1/255.
 fn bounds(snapshot: &Snapshot, blur: [f64; 3], i: usize) -> Option<Bounds> {
     let radius = reach(snapshot.opacity[i])?;
     let (mean, scale) = (snapshot.mean[i].map(f64::from), snapshot.scale[i].map(f64::from));
@@ -88,7 +89,7 @@ fn bounds(snapshot: &Snapshot, blur: [f64; 3], i: usize) -> Option<Bounds> {
     bounds.is_sound().then_some(bounds)
 }
 
-/// The largest αT of the candidates.
+/// Returns the candidate with the largest αT.
 fn blend(snapshot: &Snapshot, blur: [f64; 3], ray: &Ray, candidates: impl IntoIterator<Item = u32>) -> Option<Hit> {
     let (o, d) = (ray.origin.map(f64::from), ray.direction.map(f64::from));
     let mut hits: Vec<(f64, u32, f64)> = Vec::new();
@@ -144,7 +145,7 @@ mod tests {
         }
     }
 
-    /// Ordinary Gaussians, and now and then one that is flat, huge, transparent, or no Gaussian at all.
+    /// Ordinary Gaussians, and sometimes one that is flat, huge, transparent, or invalid.
     fn gaussian() -> impl Strategy<Value = ([f32; 3], [f32; 3], f32)> {
         let mean = [-1.2_f32..1.2, -1.2_f32..1.2, -0.5_f32..5.0];
         let odd = prop_oneof![Just(0.0_f32), Just(f32::NAN), Just(1e3), Just(1e-8), Just(f32::INFINITY)];

@@ -1,4 +1,4 @@
-//! Against Embree and against looking at every box.
+//! Comparison with Embree and with testing every box.
 
 use safetensors::SafeTensors;
 

@@ -15,11 +15,11 @@ pub(super) struct Gpu {
     pub pipeline: ComputePipeline,
     /// The adapter's name, its driver and its kind.
     pub name: String,
-    /// Bytes that one buffer holds.
+    /// Maximum bytes of a buffer.
     most: u64,
 }
 
-/// The strongest adapter there is; a software one where there is no other.
+/// Finds the strongest adapter; a software one if there is no other.
 fn adapter() -> Result<Adapter, WgpuError> {
     if Instance::enabled_backend_features().is_empty() {
         return Err(WgpuError::NoAdapter { reason: "this system has no Vulkan".into() });
@@ -36,7 +36,7 @@ fn adapter() -> Result<Adapter, WgpuError> {
 }
 
 impl Gpu {
-    /// Finds an adapter and makes the shader ready.
+    /// Finds an adapter and prepares the shader.
     pub fn new() -> Result<Self, WgpuError> {
         let adapter = adapter()?;
         let info = adapter.get_info();
@@ -70,12 +70,12 @@ impl Gpu {
         guarded(&self.device, &self.name, work)
     }
 
-    /// The device failed.
+    /// Returns the error of a failed device.
     pub fn failed(&self, reason: impl std::fmt::Display) -> WgpuError {
         WgpuError::Failed { adapter: self.name.clone(), reason: reason.to_string() }
     }
 
-    /// Refuses what does not fit one buffer.
+    /// Returns an error if the bytes do not fit one buffer.
     pub fn fits(&self, what: &'static str, bytes: u64) -> Result<(), WgpuError> {
         if bytes > self.most {
             return Err(WgpuError::TooLarge { adapter: self.name.clone(), what, most: self.most, found: bytes });
@@ -85,7 +85,7 @@ impl Gpu {
 
     /// Makes `buffer` hold at least `bytes`. Its content is lost when it grows.
     pub fn reserve(&self, buffer: &mut Option<Buffer>, usage: BufferUsages, bytes: u64) {
-        // No binding is empty.
+        // Bindings must not be empty.
         let size = bytes.max(64);
         if buffer.as_ref().is_none_or(|buffer| buffer.size() < size) {
             let descriptor = wgpu::BufferDescriptor { label: None, size, usage, mapped_at_creation: false };

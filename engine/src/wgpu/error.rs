@@ -1,6 +1,6 @@
-//! Why a graphics card could not draw.
+//! Errors of drawing with a graphics card.
 
-/// Why a graphics card could not draw.
+/// Error of drawing with a graphics card.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum WgpuError {
@@ -20,19 +20,19 @@ pub enum WgpuError {
         /// Its message.
         reason: String,
     },
-    /// The scene or the image is more than the adapter holds in one buffer.
+    /// The scene or the image does not fit one buffer of the adapter.
     #[error("{adapter}: {what}: expected at most {most} bytes, found {found}")]
     TooLarge {
         /// The adapter's name.
         adapter: String,
         /// The part that is too large.
         what: &'static str,
-        /// Bytes that one buffer holds.
+        /// Maximum bytes of a buffer.
         most: u64,
         /// Bytes needed.
         found: u64,
     },
-    /// The device failed at the work.
+    /// The device failed while drawing.
     #[error("{adapter}: the device failed: {reason}")]
     Failed {
         /// The adapter's name.

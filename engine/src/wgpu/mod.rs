@@ -1,19 +1,19 @@
 //! Drawing with a graphics card, through `wgpu` and Vulkan. Outside of the bit contract.
 //!
 //! The Gaussians are projected, binned and sorted on the CPU by the code of the contract
-//! ([`streamsplat_kernels::raster::Rasteriser::lists`]); footprints and lists go to the device, where a compute shader
-//! (`blend.wgsl`) blends every pixel; the requested planes come back.
+//! ([`streamsplat_kernels::raster::Rasteriser::lists`]). Footprints and lists are uploaded to the device, where a
+//! compute shader (`blend.wgsl`) blends every pixel. The requested planes are read back.
 //!
 //! # Outside of the bit contract
 //!
-//! The shading language leaves the rounding to devices: multiply-adds may be fused or not, and 2^x has an error of its
-//! own. Images therefore differ from device to device and from the CPU's, within 2/255 on all but one pixel in 2,000.
-//! They differ more where a rounding decides whether an α reaches 1/255 or a pixel is finished.
+//! The shading language leaves rounding to devices: multiply-adds may be fused or not, and 2^x has its own error.
+//! Images therefore differ between devices and from the CPU's, within 2/255 on all but one pixel in 2,000. They differ
+//! more where a rounding decides whether an α reaches 1/255 or a pixel is finished.
 //!
 //! # Memory
 //!
-//! 64 bytes for every Gaussian that can be seen, 4 for every tile it touches, 4 for every pixel of every plane. A
-//! request that does not fit one buffer of the device is refused ([`WgpuError::TooLarge`]).
+//! 64 bytes per visible Gaussian, 4 per tile that it touches, 4 per pixel of every plane. A request that does not fit
+//! one buffer of the device is an error ([`WgpuError::TooLarge`]).
 
 mod device;
 mod error;
@@ -32,7 +32,7 @@ use device::Gpu;
 
 /// Pixels per side of a workgroup.
 const SIDE: u32 = 16;
-// The shader's divisor.
+// The shader divides by these.
 const _: () = assert!(TILE_PIXELS[0] == 64 && TILE_PIXELS[1] == 32);
 
 /// A renderer that blends on a graphics card.
@@ -46,7 +46,7 @@ pub struct WgpuRasteriser {
     work: Work,
 }
 
-/// Memory of the device, kept from image to image.
+/// Memory of the device, kept between images.
 #[derive(Debug, Default)]
 struct Buffers {
     parameters: Option<Buffer>,
@@ -54,11 +54,11 @@ struct Buffers {
     starts: Option<Buffer>,
     order: Option<Buffer>,
     image: Option<Buffer>,
-    /// Where the image can be read.
+    /// Staging buffer, from which the image is read.
     readable: Option<Buffer>,
 }
 
-/// As the shader's.
+/// The shader's parameters.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 struct Parameters {
@@ -69,7 +69,7 @@ struct Parameters {
     background: [f32; 4],
 }
 
-/// Numbers of the planes that are wanted, and how many there are with the three of colour.
+/// Returns the numbers of the requested planes, and their count with the three of colour.
 fn planes(request: &Request) -> ([u32; 4], u32) {
     let mut next = 3;
     let wanted = [request.depth, request.alpha, request.statistics, request.statistics];
@@ -82,10 +82,10 @@ fn planes(request: &Request) -> ([u32; 4], u32) {
 }
 
 impl WgpuRasteriser {
-    /// A renderer on the strongest adapter, which may be a software one. The part on the CPU runs on `level`.
+    /// Returns a renderer on the strongest adapter, which may be a software one. The part on the CPU runs on `level`.
     ///
     /// # Errors
-    /// When there is no adapter or it has no device.
+    /// If there is no adapter or it has no device.
     pub fn new(level: Level) -> Result<Self, WgpuError> {
         Ok(Self {
             gpu: Gpu::new()?,
@@ -97,30 +97,30 @@ impl WgpuRasteriser {
         })
     }
 
-    /// The adapter's name, kind and driver.
+    /// Returns the adapter's name, kind and driver.
     pub fn adapter(&self) -> &str {
         &self.gpu.name
     }
 
-    /// Counts of the last image's work; `blend` is the time from the upload to the last plane's arrival.
+    /// Returns the counts of the last image's work; `blend` is the time from the upload to the last plane's arrival.
     pub fn work(&self) -> Work {
         self.work
     }
 
-    /// The last image.
+    /// Returns the last image.
     pub fn image(&self) -> &Image {
         &self.image
     }
 
-    /// The last image, without the rest.
+    /// Returns the last image and drops the renderer.
     pub fn into_image(self) -> Image {
         self.image
     }
 
-    /// Draws `gaussians`; runs on the current rayon pool and waits for the device.
+    /// Draws `gaussians` on the current rayon pool and waits for the device.
     ///
     /// # Errors
-    /// When the scene does not fit the device, or the device fails.
+    /// If the scene does not fit the device, or the device fails.
     ///
     /// # Panics
     /// As [`streamsplat_kernels::raster::render`].
@@ -146,7 +146,7 @@ impl WgpuRasteriser {
         Ok(&self.image)
     }
 
-    /// The requested planes of `values`.
+    /// Stores the requested planes of `values`.
     fn take(&mut self, mut values: Vec<f32>, request: &Request) {
         let pixels = request.width * request.height;
         let ([depth, alpha, final_t, blended], _) = planes(request);

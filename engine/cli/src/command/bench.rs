@@ -1,11 +1,11 @@
-//! `bench`: hands over to the `streamsplat-bench` beside this program.
+//! `bench`: runs the `streamsplat-bench` next to this program.
 
 use std::ffi::OsString;
 use std::process::Command;
 
 use crate::console::failure::Failure;
 
-/// Runs it and gives its exit code.
+/// Runs it and returns its exit code.
 pub fn command(arguments: &[OsString]) -> Result<u8, Failure> {
     let own =
         std::env::current_exe().map_err(|e| Failure::work(format!("cannot find this program's own file: {e}")))?;

@@ -1,4 +1,4 @@
-//! `export`: a scene in a format that viewers read, one file per time, or as one compressed file.
+//! `export`: writes a scene in a format that viewers read, one file per time, or as one compressed file.
 
 use std::path::{Path, PathBuf};
 
@@ -20,17 +20,17 @@ use crate::options::args::ExportArgs;
 use crate::options::times;
 use streamsplat::run::options::Times;
 
-/// A format of files.
+/// A file format of exports.
 #[derive(Clone, Copy)]
 pub enum Format {
-    /// One file for each time.
+    /// One file per time.
     Still(&'static import::Format),
     /// One file for a whole scene in time.
     Container,
 }
 
 impl Format {
-    /// The format of this name; without one, that which the name of the output ends in.
+    /// Returns the format of this name; without a name, the format by the output's ending.
     fn asked(name: Option<&str>, out: &Path) -> Result<Format, Failure> {
         let found = match name {
             Some("ssz") => Some(Format::Container),
@@ -48,7 +48,7 @@ impl Format {
         })
     }
 
-    /// The endings of its files' names.
+    /// Returns the ending of its files' names.
     fn ending(self) -> &'static str {
         match self {
             Format::Still(format) => format.ending,
@@ -56,12 +56,12 @@ impl Format {
         }
     }
 
-    /// The name of the file with the number `index`.
+    /// Returns the name of the file with the number `index`.
     pub fn file(self, index: usize) -> String {
         format!("{index:06}.{}", self.ending())
     }
 
-    /// Returns true if `path` is meant as one file of this format.
+    /// Returns true if `path` means one file of this format, not a folder.
     pub fn is_file(self, path: &Path) -> bool {
         let named = match self {
             Format::Still(format) => format.names(path),
@@ -70,7 +70,7 @@ impl Format {
         named && !path.is_dir()
     }
 
-    /// The number of a file that an export into a folder has written.
+    /// Returns the number of a file that an export into a folder has written.
     fn index(self, name: &Path) -> Option<usize> {
         let name = name.to_str()?;
         let index = name.split('.').next()?.parse().ok()?;
@@ -78,7 +78,7 @@ impl Format {
     }
 }
 
-/// Options of the format's writer.
+/// Returns the options of the format's writer.
 fn options(args: &ExportArgs, format: Format) -> Result<Options, Failure> {
     let Some(version) = args.spz_version else { return Ok(Options::default()) };
     if !matches!(format, Format::Still(import::Format { option: "spz", .. })) {
@@ -92,7 +92,7 @@ fn options(args: &ExportArgs, format: Format) -> Result<Options, Failure> {
     Ok(Options { spz })
 }
 
-/// Writes one file per time, or one of the whole scene.
+/// Writes one file per time, or one for the whole scene.
 pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     console.listen();
     let format = Format::asked(args.format.as_deref(), &args.out)?;
@@ -176,24 +176,24 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The camera's file in a folder of files of one scene.
+/// Name of the camera file in a folder of files of one scene.
 const CAMERA: &str = "source.camera.json";
-/// Distance of a camera with parallel rays, in half widths of the picture: all depths are beyond it.
+/// Distance of an orthographic camera, in half widths of the picture: all depths are beyond it.
 const DISTANCE: f64 = 12.0;
 
-/// The camera's file of a single file.
+/// Returns the path of the camera file of a single file.
 fn beside(file: &Path) -> PathBuf {
     let mut name = file.file_name().unwrap_or_default().to_owned();
     name.push(".camera.json");
     file.with_file_name(name)
 }
 
-/// The camera that was exported with a file: its own, else that of its folder.
+/// Returns the camera that was exported with a file: its own, else that of its folder.
 pub fn camera_of(file: &Path) -> Option<PathBuf> {
     [beside(file), file.with_file_name(CAMERA)].into_iter().find(|path| path.is_file())
 }
 
-/// The source's own view in the world of exported files, with the size of its frames.
+/// Returns the source's own view in the coordinates of exported files, with the size of its frames.
 fn sources_view(placement: &Placement) -> Result<String, Failure> {
     let Placement { source: [height, width], model, offset, content } = *placement;
     let aspect = placement.aspect();
@@ -210,7 +210,7 @@ fn sources_view(placement: &Placement) -> Result<String, Failure> {
     Ok(serde_json::to_string_pretty(&camera).map_err(Failure::work)? + "\n")
 }
 
-/// Rates that follow from the times of frames differ so far, as a part of them.
+/// Relative tolerance for equal frame rates that are computed from frame times.
 const ALIKE: f64 = 1e-3;
 
 fn refuse_more(args: &ExportArgs, cause: &str) -> Result<(), Failure> {
@@ -250,7 +250,8 @@ fn container(scenes: &[Scene], args: &ExportArgs, workers: &Workers, console: &C
                 return Err(Failure::work(format!("{}: stopped by the user; nothing was written", args.out.display())));
             }
             let (interval, frames) = joined?;
-            // An interval lists its frames where its own scene's rate does not; another place in time has others.
+            // An interval lists its frames if its own scene's rate does not imply them; after a join they are at other
+            // times.
             let listed = if scenes.len() == 1 { &entry.frames } else { &frames };
             writer.push_with(&interval, listed, workers)?;
             progress.step();
@@ -266,7 +267,7 @@ fn container(scenes: &[Scene], args: &ExportArgs, workers: &Workers, console: &C
     Ok(())
 }
 
-/// Files of a longer export in the same folder would pass for this one's.
+/// Fails if a longer export has left files in the same folder, because they would be taken for this export's.
 pub fn refuse_others(folder: &Path, format: Format, count: usize) -> Result<(), Failure> {
     let unreadable = |e| Failure::work(format!("{}: {e}", folder.display()));
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {

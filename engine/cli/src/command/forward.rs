@@ -1,4 +1,4 @@
-//! `forward`: a model on tensors.
+//! `forward`: runs a model on tensors.
 
 use streamsplat::output::Partial;
 use streamsplat_model::{LoadOptions, forward};

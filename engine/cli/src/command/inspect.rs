@@ -1,4 +1,4 @@
-//! `inspect`: what a model, a scene or an interval holds.
+//! `inspect`: prints the content of a model, a scene or an interval.
 
 use std::fs::File;
 use std::io::Read;
@@ -20,7 +20,7 @@ use crate::console::{Console, say};
 use crate::options::args::InspectArgs;
 use streamsplat::run::digest;
 
-/// Tells what it is.
+/// Detects the kind of the file and prints its content.
 pub fn command(args: &InspectArgs, console: &Console) -> Result<(), Failure> {
     let path = &args.file;
     let torch = is_torch(path);
@@ -55,7 +55,7 @@ pub fn command(args: &InspectArgs, console: &Console) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Returns true if a file is an archive of `torch.save`, which begins as a scene in a zip file does.
+/// Returns true if a file is an archive of `torch.save`, which begins like a scene in a zip file.
 fn is_torch(path: &Path) -> bool {
     let mut head = Vec::new();
     let read = File::open(path).and_then(|file| file.take(256).read_to_end(&mut head));
@@ -132,8 +132,8 @@ fn model(path: &Path) -> Result<Value, Failure> {
         _ => ("model", Value::Null),
     };
     let formats: Map<String, Value> = report.formats.iter().map(|(name, count)| (name.clone(), json!(count))).collect();
-    // Weights of a matrix take four, two or one byte each in the three modes; the little that always stays f32 is not
-    // told apart. Zero-output ones take none.
+    // Weights of a matrix take four, two or one byte each in the three modes. The few weights that always stay f32 are
+    // not distinguished here. Zero-output weights take none.
     let held = report.parameters() - report.zero_output.iter().map(|part| part.parameters).sum::<usize>();
     let memory = |bytes: usize| held * bytes;
     let thousandths = |x: f64| (x * 1e3).round() / 1e3;

@@ -1,4 +1,4 @@
-//! `completions` and `man`: what shells and `man` want to know of the command line.
+//! `completions` and `man`: shell completions and manual pages.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ pub fn completions(shell: Shell) -> Result<(), Failure> {
     print(&text)
 }
 
-/// Prints the manual page of the whole, or writes one page per command into a folder.
+/// Prints the program's manual page, or writes one page per command into a folder.
 pub fn man(out: Option<&Path>) -> Result<(), Failure> {
     let mut command = Cli::with_defaults();
     command.build();

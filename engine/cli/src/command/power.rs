@@ -1,5 +1,5 @@
 //! Power losses, full disks and failing devices at every operation of a short run: `--resume` always ends with the
-//! bytes of a run that nothing stopped.
+//! bytes of an uninterrupted run.
 //!
 //! Every ninth operation by default; `STREAMSPLAT_EVERY=1 cargo test --release -p streamsplat-cli power` tries all.
 
@@ -17,7 +17,7 @@ use crate::options::args::{Cli, Command};
 
 const FAULTS: [Fault; 5] = [Fault::LosesBytes, Fault::LosesNames, Fault::NoSpace, Fault::Device, Fault::ShortWrite];
 
-/// Five frames in which something moves.
+/// Creates five frames with a moving object.
 fn clip(folder: &Path) -> PathBuf {
     let clip = folder.join("clip");
     std::fs::create_dir(&clip).expect("writable");
@@ -42,7 +42,7 @@ fn attempt(clip: &Path, out: &Path, more: &[&str], fault: Option<(Fault, u64)>) 
     inject(fault, || run::command(args, &cli.console))
 }
 
-/// All files in and beside a place but the input, and the outputs of records instead of these.
+/// Returns all files in and around a folder except reports; records are replaced by their outputs.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -92,8 +92,8 @@ fn sweep(name: &str) {
     }
 }
 
-/// Stands in ffmpeg's place: writes what it gets and an end, exit code 0 whatever becomes of the file; counts the
-/// frames of a file with its end.
+/// A fake ffmpeg. It writes its input and an end mark, with exit code 0 whatever happens to the file, and counts the
+/// frames of a file with its end mark.
 #[cfg(unix)]
 const ENCODER: &str = r#"#!/bin/sh
 case $* in
@@ -110,7 +110,7 @@ case $* in
 esac
 "#;
 
-/// Runs to `video`, where another file is, with this encoder.
+/// Runs to `video`, where another file exists, with this encoder.
 #[cfg(unix)]
 fn encoded(clip: &Path, video: &Path, encoder: &Path, fault: Option<(Fault, u64)>) -> (Result<(), Failure>, u64) {
     std::fs::write(video, "another").expect("writable");
@@ -128,7 +128,7 @@ fn encoded(clip: &Path, video: &Path, encoder: &Path, fault: Option<(Fault, u64)
 fn an_encoded_video_replaces_another_whole_or_not_at_all() {
     let scratch = tempfile::tempdir().expect("a temporary folder");
     let clip = clip(scratch.path());
-    // Another process writes it: this one would hold it open while other threads start programs.
+    // Another process writes the encoder: this process would hold it open while other threads start programs.
     let encoder = scratch.path().join("encoder");
     let mut writer = std::process::Command::new("sh")
         .args(["-c", "cat >\"$0\" && chmod +x \"$0\""])

@@ -1,4 +1,4 @@
-//! `render`: a scene → images at chosen times and cameras.
+//! `render`: draws a scene to images at chosen times and cameras.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -37,7 +37,7 @@ pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
         check_name(path)?;
     }
     match Single::of(&args.out) {
-        // Of several images a WebP file is a video.
+        // For several images, a WebP file is a video.
         Some(Single::WebP) if several(args, console)? => {}
         Some(kind) => return single(args, kind, console),
         None => {}
@@ -57,7 +57,7 @@ pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {
 /// Default size of a panorama.
 const PANORAMA: [usize; 2] = [2048, 1024];
 
-/// The kinds of a file that is a single image.
+/// The kinds of single-image files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Single {
     Png,
@@ -84,7 +84,7 @@ fn several(args: &RenderArgs, console: &Console) -> Result<bool, Failure> {
     let mut views = options.views()?;
     times::check_rate(options.fps)?;
     let workers = args.machine.workers()?;
-    // Quiet, as the scene is opened again for drawing, which prints the notes.
+    // Quiet, because the scene is opened again for drawing, which prints the notes.
     let quiet = Console { quiet: true, ..console.clone() };
     let axes = options.reading.axes()?;
     Ok(match open_along(&args.scene, &options.limit.limits(), axes, Some(&workers), &quiet)? {
@@ -96,7 +96,7 @@ fn several(args: &RenderArgs, console: &Console) -> Result<bool, Failure> {
     })
 }
 
-/// Renders one image into a folder that goes away, and gives it the name that was asked for.
+/// Renders one image into a temporary folder and renames it to the requested name.
 fn single(args: &RenderArgs, kind: Single, console: &Console) -> Result<(), Failure> {
     let (name, emit) = match kind {
         Single::Png => ("frames/000000.png", Emit { rgb: true, ..Emit::default() }),
@@ -127,7 +127,7 @@ fn single(args: &RenderArgs, kind: Single, console: &Console) -> Result<(), Fail
 }
 
 impl RenderOptions {
-    /// What the images show, and how.
+    /// Returns the views of the images, with all their options.
     pub(super) fn views(&self) -> Result<Views, Failure> {
         let mut views = self.view.resolve()?;
         if self.optics.panorama && views.options.size == Size::Model {
@@ -140,7 +140,8 @@ impl RenderOptions {
         Ok(views)
     }
 
-    /// The times of a scene's images, each with the interval that shows it. Sets the camera's motion in `views`.
+    /// Returns the times of a scene's images, each with the interval that shows it. Sets the camera's motion in
+    /// `views`.
     pub(super) fn due(&self, scene: &Scene, views: &mut Views, fps: f64) -> Result<Vec<(f64, usize)>, Failure> {
         views.camera = self.optics.around(std::mem::take(&mut views.camera))?;
         self.optics.needs_focus()?;
@@ -149,7 +150,7 @@ impl RenderOptions {
         Ok(due)
     }
 
-    /// Refuses more than one image where there is a single file for it.
+    /// Returns an error for more than one image with a single output file.
     pub(super) fn check_single(&self, images: usize) -> Result<(), Failure> {
         if self.single && images != 1 {
             return Err(Failure::usage(format!(
@@ -160,7 +161,7 @@ impl RenderOptions {
     }
 }
 
-/// Everything of a rendering but its record's files.
+/// Renders everything except the record's files.
 pub fn render(
     path: &Path,
     place: &mut Place,
@@ -191,7 +192,7 @@ pub fn render(
         }
     };
     let fps = options.fps.unwrap_or(scene.index().fps);
-    // Of the source's own frames; images of other times, or of one, follow each other at a rate.
+    // The source's own frames; images at other times, or at one time, follow each other at a rate.
     let own = options.fps.is_none() && views.times.is_none();
     let due = options.due(&scene, &mut views, fps)?;
     options.check_single(due.len())?;
@@ -240,8 +241,7 @@ pub fn render(
     record(options, input, &drawing, Rendered { outputs, complete, read: stretch.read, start }, &workers)
 }
 
-/// With `--fill crop`, lets all images of a motion show the part of the sides that they can without the picture's
-/// edges.
+/// With `--fill crop`, sets the part of the sides that all images of a motion can show without the picture's edges.
 pub(super) fn crop(
     scene: &Scene,
     due: &[(f64, usize)],
@@ -269,23 +269,23 @@ pub(super) fn crop(
     Ok(())
 }
 
-/// The part of a scene that is being drawn.
+/// The interval of a scene that is being drawn.
 pub(super) struct Stretch<'a> {
     scene: &'a Scene,
     current: Option<(usize, Interval)>,
     /// Time spent reading.
     read: Duration,
-    /// Places of the intervals that were read.
+    /// Indices of the intervals that were read.
     seen: BTreeSet<usize>,
 }
 
 impl<'a> Stretch<'a> {
-    /// Nothing of `scene` yet.
+    /// Starts without any interval of `scene`.
     pub(super) fn of(scene: &'a Scene) -> Self {
         Stretch { scene, current: None, read: Duration::ZERO, seen: BTreeSet::new() }
     }
 
-    /// The image with the number `index`, at a time that the interval at a place shows; of `fps` a second.
+    /// Draws the image with the number `index`, at a time that the interval at `place` shows, at `fps` images a second.
     pub(super) fn image(
         &mut self,
         drawing: &mut Drawing,
@@ -310,7 +310,7 @@ impl<'a> Stretch<'a> {
         })
     }
 
-    /// The interval at a place; the one before it is forgotten.
+    /// Returns the interval at an index; the previous one is dropped.
     fn at(&mut self, place: usize) -> Result<&Interval, run::Error> {
         if self.current.as_ref().is_none_or(|(at, _)| *at != place) {
             let begun = Instant::now();
@@ -323,11 +323,11 @@ impl<'a> Stretch<'a> {
     }
 }
 
-/// Result of a rendering, apart from the renderer.
+/// Result of a rendering, without the renderer.
 pub(super) struct Rendered {
     /// The files.
     pub outputs: BTreeMap<String, OutputRecord>,
-    /// False when the user stopped it.
+    /// False if the user stopped it.
     pub complete: bool,
     /// Time spent reading.
     pub read: Duration,
@@ -335,7 +335,7 @@ pub(super) struct Rendered {
     pub start: Instant,
 }
 
-/// The record of a rendering of `input`.
+/// Returns the record of a rendering of `input`.
 pub(super) fn record(
     options: &RenderOptions,
     input: InputRecord,

@@ -40,7 +40,7 @@ pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     let destination = Destination::of(&out);
     if !console.quiet && out != Path::new("-") {
         say(report::summary(&record, &out))?;
-        // The scene beside the video, or in the folder.
+        // The scene next to the video, or in the folder.
         let scene = destination.container().unwrap_or_else(|| out.join("scene"));
         let name = scene.file_name().unwrap_or_default().to_string_lossy();
         let written = |file: &String| file.starts_with("scene/") || **file == *name;
@@ -58,7 +58,7 @@ pub fn command(args: &RunArgs, console: &Console) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A failure where the input was damaged: everything of what came before is written.
+/// Returns an error if the input was damaged; all results from before the damage are written.
 fn whole(record: &Record) -> Result<(), Failure> {
     record.input.damage.clone().map_or(Ok(()), |damage| Err(Failure::work(damage)))
 }

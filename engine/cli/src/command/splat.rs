@@ -10,9 +10,9 @@ use streamsplat_model::checkpoint::Checkpoint;
 use crate::console::failure::Failure;
 use crate::options::args::SplatArgs;
 
-/// Bytes of a Gaussian at most: 14 numbers in binary64.
+/// Maximum bytes per Gaussian: 14 numbers in binary64.
 const RECORD: u64 = 112;
-/// Bytes of everything else.
+/// Maximum bytes of the rest of the file.
 const MAX_OVERHEAD: u64 = 1 << 20;
 
 /// Reads, draws, writes.

@@ -1,4 +1,4 @@
-//! Still scenes, such as PLY files, in `render`, `export` and `inspect`.
+//! Still scenes, for example PLY files, in `render`, `export` and `inspect`.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -29,33 +29,33 @@ use streamsplat::run::views::Views;
 
 /// Frames per second of a video of a scene that has no time.
 const FPS: f64 = 24.0;
-/// Images for which the scene's Gaussians are grouped. That takes about as long as an image, and saves more than half
-/// of each that shows a tenth of the scene (`streamsplat bench raster --only part`).
+/// Number of images from which the scene's Gaussians are grouped. Grouping takes about as long as an image, and saves
+/// more than half of each image that shows a tenth of the scene (`streamsplat bench raster --only part`).
 const MANY: usize = 8;
 
-/// Size of images of which nothing says it.
+/// Image size if neither options nor cameras set one.
 const SIZE: [usize; 2] = [1280, 720];
 
-/// The images of a still scene: from where, when, and how large.
+/// The images of a still scene: cameras, times, and sizes.
 pub struct Plan {
     views: Views,
     times: Vec<f64>,
     fps: f64,
-    /// True if `times` is that of `--times`. A scene that changes in time is then drawn at these times.
+    /// True if `times` comes from `--times`. A scene that changes over time is then drawn at these times.
     of_scene: bool,
 }
 
-/// A scene that is ready to be drawn.
+/// A scene prepared for drawing.
 #[expect(clippy::large_enum_variant, reason = "one value for a command")]
 pub enum Prepared {
-    /// One that is the same at all times.
+    /// A scene that is the same at all times.
     Still(Drawable),
-    /// One that changes.
+    /// A scene that changes.
     InTime(Box<StillFile>),
 }
 
 impl Prepared {
-    /// The Gaussians of an image.
+    /// Returns the Gaussians of an image.
     fn at(&self, time: f64, workers: &Workers) -> Result<Cow<'_, Drawable>, run::Error> {
         Ok(match self {
             Prepared::Still(scene) => Cow::Borrowed(scene),
@@ -65,7 +65,7 @@ impl Prepared {
 }
 
 impl Plan {
-    /// Plans the images of `file` by the options; values that they leave out follow from the scene.
+    /// Plans the images of `file` by the options; values that the options leave out follow from the scene.
     pub fn new(file: &StillFile, options: &RenderOptions, views: &Views) -> Result<Plan, Failure> {
         let kind = format!("{} is a still scene ({})", file.path.display(), file.format);
         let fps = options.fps.or(views.own_rate).unwrap_or(FPS);
@@ -134,7 +134,7 @@ impl Plan {
         Ok(Plan { views, times, fps, of_scene })
     }
 
-    /// Refuses a shutter where nothing moves.
+    /// Returns an error for a shutter if nothing moves.
     pub fn check_shutter(&self, file: &StillFile) -> Result<(), Failure> {
         let changes = file.in_time.is_some() && self.of_scene;
         if self.views.shutter.is_none() || self.views.camera.views().len() > 1 || changes {
@@ -146,7 +146,7 @@ impl Plan {
         )))
     }
 
-    /// The scene, ready for so many images.
+    /// Prepares the scene for this number of images.
     pub fn prepare(&self, file: StillFile, workers: &Workers) -> Result<Prepared, Failure> {
         if file.in_time.is_some() && self.of_scene {
             return Ok(Prepared::InTime(Box::new(file)));
@@ -155,7 +155,7 @@ impl Plan {
         Ok(Prepared::Still(if self.times.len() >= MANY { scene.grouped(workers) } else { scene }))
     }
 
-    /// One of the images.
+    /// Draws one of the images.
     pub fn image(
         &self,
         drawing: &mut Drawing,
@@ -171,12 +171,12 @@ impl Plan {
         })
     }
 
-    /// How many images there are.
+    /// Returns the number of images.
     pub fn count(&self) -> usize {
         self.times.len()
     }
 
-    /// The time of every image, and what is drawn then.
+    /// Iterates over the images, each with its time and its views.
     pub fn images(&self) -> impl ExactSizeIterator<Item = (f64, Views)> {
         self.times.iter().map(|&time| {
             let mut views = self.views.clone();
@@ -192,8 +192,8 @@ impl Plan {
     }
 }
 
-/// The options with the camera that was exported with the file at `path`, where there is one and no option asks for
-/// another view; `views` follows. The size of its images is the camera file's, unless one was given.
+/// Returns the options with the camera that was exported with the file at `path`, unless there is none or another
+/// option sets the view. Updates `views`. The size of the images is the camera file's, unless a size was given.
 pub fn seen_as_exported(
     options: &RenderOptions,
     path: &Path,
@@ -220,7 +220,7 @@ pub fn seen_as_exported(
     Ok(options)
 }
 
-/// The size of the images of a camera with parallel rays, where its file has one.
+/// Returns the image size in the file of an orthographic camera, if there is one.
 fn size_of(camera: &Value) -> Option<[usize; 2]> {
     if camera["type"] != "orthographic" {
         return None;
@@ -229,7 +229,7 @@ fn size_of(camera: &Value) -> Option<[usize; 2]> {
     width.zip(height).map(|(width, height)| [width, height])
 }
 
-/// Everything of a rendering but its record's files: one image, or as many as the camera has places.
+/// Renders everything except the record's files: one image, or one per position of the camera.
 pub fn render(
     file: StillFile,
     place: &mut Place,
@@ -295,7 +295,7 @@ pub fn render(
     record(options, input, &drawing, Rendered { outputs, complete, read, start }, workers)
 }
 
-/// Writes the one file that a still scene is.
+/// Exports a still scene to one file.
 pub fn export(
     file: StillFile,
     format: Format,
@@ -337,7 +337,7 @@ pub fn export(
     Ok(())
 }
 
-/// Summary of a still scene as JSON.
+/// Summarises a still scene as JSON.
 pub fn inspect(file: &StillFile) -> Value {
     let still = &file.still;
     let (bounds, framing, statistics) = (still.bounds(), still.framing(), still.statistics());
@@ -380,7 +380,7 @@ pub fn inspect(file: &StillFile) -> Value {
     found
 }
 
-/// A number with five digits, for people.
+/// Formats a number with five digits for the terminal.
 fn short(x: f64) -> f64 {
     format!("{x:.4e}").parse().unwrap_or(x)
 }

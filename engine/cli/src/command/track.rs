@@ -17,19 +17,19 @@ use streamsplat::run::options::Times;
 /// Result, written as JSON.
 #[derive(Serialize)]
 struct Found {
-    /// The time asked for, in seconds.
+    /// The requested time, in seconds.
     at: f64,
-    /// The pixel asked for; centres at whole numbers.
+    /// The requested pixel; centres are at integers.
     point: [f64; 2],
-    /// The source's frames, width first.
+    /// Size of the source's frames, width first.
     size: [usize; 2],
     /// The identity under the point.
     identity: u64,
-    /// Its part of the pixel's colour.
+    /// Its share of the pixel's colour.
     weight: f64,
-    /// Times asked for at which it is not in the scene.
+    /// Number of requested times at which it is not in the scene.
     missing: usize,
-    /// Where it is, ascending in time.
+    /// Its positions, ascending in time.
     path: Vec<PathPoint>,
 }
 
@@ -49,7 +49,7 @@ impl From<TrackPoint> for PathPoint {
     }
 }
 
-/// Picks, follows, prints.
+/// Picks the identity, follows it, and prints its path.
 pub fn command(args: &TrackArgs, console: &Console) -> Result<(), Failure> {
     let point = point(&args.point)?;
     let asked = args.times.as_ref().map(Times::list);
@@ -103,22 +103,23 @@ pub fn command(args: &TrackArgs, console: &Console) -> Result<(), Failure> {
     Ok(())
 }
 
-/// `X,Y` in pixels.
+/// Parses `X,Y` in pixels.
 fn point(text: &str) -> Result<[f64; 2], Failure> {
     let number = |part: &str| part.trim().parse::<f64>().ok().filter(|x| x.is_finite());
     let parts = text.split_once(',').and_then(|(x, y)| number(x).zip(number(y)));
     parts.map(|(x, y)| [x, y]).ok_or_else(|| Failure::usage(format!("--point {text}: expected X,Y in pixels")))
 }
 
-/// Which way in time.
+/// Direction in time.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Direction {
     Forward,
     Backward,
 }
 
-/// The track's places at the times `due` (ascending, each with its interval), all on one side of the track's own time,
-/// which interval `from` shows. Ends where the track does, or with the last time wanted; reads no interval beyond.
+/// Returns the track's positions at the times `due` (ascending, each with its interval), all on one side of the track's
+/// own time, which interval `from` shows. The result ends with the track or with the last requested time; no interval
+/// beyond is read.
 fn follow(
     scene: &Scene,
     mut track: Track,
@@ -148,8 +149,8 @@ fn follow(
     Ok(parts.into_iter().flatten().collect())
 }
 
-/// A line per point, with the units in the names of the columns. Numbers are the shortest that read back as the same
-/// bits.
+/// Formats a line per point, with the units in the names of the columns. Numbers have the fewest digits that read back
+/// as the same bits.
 fn csv(path: &[PathPoint]) -> String {
     let mut text = String::from("time_s,identity,x_px,y_px,x_half_widths,inverse_depth,z_half_heights,opacity\n");
     for PathPoint { time, identity, pixel: [x, y], world: [wx, wy, wz], opacity } in path {

@@ -1,4 +1,4 @@
-//! `verify`: repeats what a `run.json` describes and compares.
+//! `verify`: repeats the work that a `run.json` describes and compares the results.
 
 use std::path::{Path, PathBuf};
 
@@ -15,8 +15,7 @@ use streamsplat::run::record::{Invocation, Record};
 use streamsplat::run::{digest, report};
 use streamsplat::source::MEMORY;
 
-/// Compares the files that are there with their digests, then repeats the work and compares again. Fails where one
-/// differs.
+/// Compares the existing files with their digests, then repeats the work and compares again. Fails if one differs.
 pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     let (record_path, folder) = if !args.dir.is_file() {
         (args.dir.join("run.json"), args.dir.clone())
@@ -43,7 +42,7 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
             return Err(Failure::work(message));
         }
         let path = folder.join(name);
-        // Nothing of standard output's stays on disk.
+        // Standard output leaves nothing on disk.
         let found = if path.exists() { digest::file(&path)? } else { "none: the file is missing".to_owned() };
         if found != expected.blake3 {
             differ(console, &path.display().to_string(), &expected.blake3, &found)?;
@@ -78,7 +77,7 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
                 options.frames = Some(record.input.count);
             }
             if outside > 0 {
-                // What a graphics card drew is left out.
+                // Images drawn by a graphics card are not compared.
                 let has = |folder: &str| record.outputs.keys().any(|name| name.starts_with(folder));
                 let (scene, ply, tracks) = (has("scene/"), has("ply/"), has("tracks/"));
                 options.emit = Some(Emit { scene, ply, tracks, ..Emit::default() });
@@ -119,7 +118,7 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     names.sort();
     names.dedup();
     for name in names {
-        // Videos are compared by what was encoded: their bytes depend on the version of ffmpeg.
+        // Videos are compared by their encoded frames: the bytes of a video depend on the version of ffmpeg.
         let digest = |record: &Record| match record.outputs.get(&name) {
             Some(output) => output.samples.clone().unwrap_or_else(|| output.blake3.clone()),
             None => "none: the file is missing".to_owned(),
@@ -133,7 +132,7 @@ pub fn command(args: &VerifyArgs, console: &Console) -> Result<(), Failure> {
     }
     let runtime = |record: &Record| record.depth.as_ref().map_or_else(String::new, |network| network.runtime.clone());
     if !differing.is_empty() && runtime(&record) != runtime(&again) {
-        // No difference in itself, but another runtime's arithmetic may be one.
+        // Another runtime is no difference in itself, but its arithmetic may differ.
         differ(console, "what runs the depth network", &runtime(&record), &runtime(&again))?;
     }
     if let Some(first) = differing.first() {
@@ -162,7 +161,7 @@ fn differ(console: &Console, what: &str, expected: &str, found: &str) -> Result<
     if console.quiet { Ok(()) } else { say(format!("{what}: expected {expected}, found {found}")) }
 }
 
-/// The path of a record: the file itself, or `FILE.run.json` for a video.
+/// Returns the path of a record: the file itself, or `FILE.run.json` for a video.
 fn record_of(file: &Path) -> Result<PathBuf, Failure> {
     let Some(wrong) = recognise::not_a_record(file) else { return Ok(file.to_owned()) };
     let mut beside = file.as_os_str().to_owned();
@@ -171,8 +170,8 @@ fn record_of(file: &Path) -> Result<PathBuf, Failure> {
     if beside.is_file() { Ok(beside) } else { Err(Failure::work(format!("{}: {wrong}", file.display()))) }
 }
 
-/// Files in a folder of results that its record does not name, and a report that is not the record's; each with what is
-/// wrong.
+/// Returns the files in a folder of results that its record does not name, and a report that does not match the record;
+/// each with a description.
 fn beside(folder: &Path, record: &Record) -> Result<Vec<(String, String)>, Failure> {
     let mut wrong = Vec::new();
     let mut folders = vec![(folder.to_owned(), String::new())];

@@ -1,4 +1,4 @@
-//! `view`: a page that shows a scene, in time or still, in a browser, served or written as one file.
+//! `view`: a page that shows a scene, in time or still, in a browser. The page is served or written as one file.
 
 use std::io::{BufWriter, Write};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
@@ -16,9 +16,9 @@ use crate::console::serving::title;
 use crate::console::{Console, say};
 use crate::options::args::ViewArgs;
 
-/// The port that is tried where none is given.
+/// The default port.
 pub const PORT: u16 = 8707;
-/// How often it is looked whether the user asked to stop.
+/// Interval at which stop requests are polled.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Shows a scene of any kind.
@@ -35,8 +35,8 @@ pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     }
 }
 
-/// Returns true for an `http` or `https` address, which a browser opens as a page, and false for others, such as a
-/// script's.
+/// Returns true for an `http` or `https` address, which a browser opens as a page; false for other addresses, for
+/// example of scripts.
 fn is_address(url: &str) -> bool {
     let lower = url.to_ascii_lowercase();
     let rest = lower.strip_prefix("https://").or_else(|| lower.strip_prefix("http://"));
@@ -85,13 +85,13 @@ fn show(source: impl Whole + 'static, args: &ViewArgs, console: &Console) -> Res
     Ok(())
 }
 
-/// An address by which a server is reached that listens on `address`: of one that listens on all, this machine's own in
-/// its network, else of this machine alone.
+/// Returns an address at which a server that listens on `address` can be reached. If it listens on all addresses, this
+/// is the machine's own address in its network or, without one, the loopback address.
 fn reached(address: SocketAddr) -> SocketAddr {
     if !address.ip().is_unspecified() {
         return address;
     }
-    // Nothing is sent: the system only looks up from where it would be. The address is one for documentation.
+    // Nothing is sent: the system only looks up the source address. The target address is reserved for documentation.
     let own = || {
         let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).ok()?;
         socket.connect((Ipv4Addr::new(192, 0, 2, 1), 9)).ok()?;
@@ -100,8 +100,9 @@ fn reached(address: SocketAddr) -> SocketAddr {
     SocketAddr::new(own().unwrap_or(Ipv4Addr::LOCALHOST.into()), address.port())
 }
 
-/// How another machine gets to the page through ssh: of a server that others may reach, and of one that was started
-/// through ssh, whose environment has `SSH_CONNECTION` (the other side's address and port, then this side's).
+/// Returns the ssh command by which another machine reaches the page. There is one if the server listens beyond
+/// loopback, or if it was started through ssh; then `SSH_CONNECTION` holds the address and port of both sides, the
+/// other side's first.
 fn tunnel(address: SocketAddr, connection: Option<&str>) -> Option<String> {
     let here = connection.and_then(|connection| connection.split(' ').nth(2)).map(str::to_owned);
     if address.ip().is_loopback() && here.is_none() {
@@ -113,7 +114,7 @@ fn tunnel(address: SocketAddr, connection: Option<&str>) -> Option<String> {
     Some(format!("from another machine: ssh -N -L {port}:{end} {here}, then http://localhost:{port}/"))
 }
 
-/// Tags by which a link to the page shows something: the poster lies beside the page.
+/// Returns the tags for the preview of a link to the page; the poster is next to the page.
 fn link(title: String, url: Option<&str>, file: &Path, image: &Path) -> Link {
     let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let folder = url.map(|url| url.strip_suffix(&name(file)).unwrap_or(url));
@@ -122,7 +123,7 @@ fn link(title: String, url: Option<&str>, file: &Path, image: &Path) -> Link {
     Link { title, url: url.map(str::to_owned), image }
 }
 
-/// Writes the page with the scene in it: whole or not at all.
+/// Writes the page with the scene in it, completely or not at all.
 fn write_file(source: &impl Whole, link: &Link, file: &Path) -> Result<u64, Failure> {
     let partial = Partial::create(file)?;
     let failed = |e: std::io::Error| Failure::work(format!("{}: cannot write: {e}", file.display()));

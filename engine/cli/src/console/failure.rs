@@ -1,4 +1,4 @@
-//! How a command fails.
+//! Failures of commands.
 
 use std::fmt::Display;
 
@@ -9,28 +9,28 @@ pub enum Failure {
     Usage(String),
     /// The work failed: exit code 1.
     Work(String),
-    /// The user stopped it: exit code 130, as shells have it.
+    /// The user stopped it: exit code 130, as in shells.
     Stopped(String),
 }
 
 impl Failure {
-    /// Wrong use.
+    /// Returns the failure of wrong use.
     pub fn usage(message: impl Display) -> Failure {
         Failure::Usage(message.to_string())
     }
 
-    /// The work failed.
+    /// Returns the failure of the work.
     pub fn work(message: impl Display) -> Failure {
         Failure::Work(message.to_string())
     }
 
-    /// One line.
+    /// Returns the message, one line.
     pub fn message(&self) -> String {
         let (Failure::Usage(text) | Failure::Work(text) | Failure::Stopped(text)) = self;
         super::visible(&text.split_whitespace().collect::<Vec<_>>().join(" "))
     }
 
-    /// 1, 2 or 130.
+    /// Returns the exit code: 1, 2 or 130.
     pub fn code(&self) -> u8 {
         match self {
             Failure::Usage(_) => 2,
@@ -46,7 +46,7 @@ impl From<streamsplat::run::Error> for Failure {
     }
 }
 
-/// Errors of the library are failed work, unless said otherwise.
+/// Errors of the library are failed work, unless mapped explicitly.
 macro_rules! work {
     ($($kind:ty),+) => { $(impl From<$kind> for Failure {
         fn from(e: $kind) -> Failure { Failure::work(e) }

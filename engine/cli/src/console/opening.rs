@@ -1,4 +1,4 @@
-//! Opening scenes, with progress where that takes long.
+//! Opening of scenes, with progress for large files.
 
 use std::path::Path;
 
@@ -10,13 +10,13 @@ use crate::console::Console;
 use crate::console::failure::Failure;
 use crate::console::progress::Progress;
 
-/// Bytes of a file whose reading is shown.
+/// File size from which progress is shown, in bytes.
 const LONG: u64 = 1 << 26;
-/// Bytes of what is counted.
+/// Bytes per counted unit.
 const MEGABYTE: u64 = 1_000_000;
 
 /// Opens a scene of any kind with `workers`; the default is a thread per processor. `axes` overrides the axes of a
-/// still scene's numbers. Prints notes on what was left out or assumed.
+/// still scene. Prints notes on content that was left out or assumed.
 pub fn open_along(
     path: &Path,
     limits: &Limits,
@@ -54,7 +54,7 @@ pub fn open_along(
     Ok(opened)
 }
 
-/// Says lines about a file.
+/// Prints notes about a file.
 pub fn say_of(path: &Path, lines: &[String], console: &Console) {
     let lines: Vec<String> = lines.iter().map(|line| format!("{}: {line}", path.display())).collect();
     console.note(&lines);

@@ -5,21 +5,21 @@ use std::io::Write;
 
 use super::failure::Failure;
 
-/// Longest text printed at once, in characters.
+/// Maximum length of a printed text, in characters.
 const LONGEST: usize = 20_000;
 
-/// Prints a line on standard output, with what files hold made [`visible`].
+/// Prints a line on standard output, with text from files made [`visible`].
 pub fn say(line: impl std::fmt::Display) -> Result<(), Failure> {
     print(format!("{}\n", visible(&line.to_string())).as_bytes())
 }
 
-/// A number of things: `1 image`, `2 images`.
+/// Formats a count with its noun: `1 image`, `2 images`.
 pub fn count(n: usize, what: &str) -> String {
     format!("{n} {what}{}", if n == 1 { "" } else { "s" })
 }
 
-/// Text for a terminal: control characters, which names and tags of files may hold, are written as escapes, and what is
-/// very long is cut. Lines and tabs stay.
+/// Makes text safe for a terminal: control characters, which names and tags of files may contain, become escapes, and
+/// very long text is truncated. Line breaks and tabs stay.
 pub fn visible(text: &str) -> String {
     let mut out = String::with_capacity(text.len().min(4 * LONGEST));
     for (at, c) in text.chars().enumerate() {
@@ -27,7 +27,7 @@ pub fn visible(text: &str) -> String {
             let _ = write!(out, "… ({} more characters)", text.chars().count() - at);
             break;
         }
-        // Marks that turn the direction of what follows hide text as well as control characters do.
+        // Marks of text direction can hide text as control characters can.
         let hides = matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
         if (c.is_control() && c != '\n' && c != '\t') || hides {
             let _ = write!(out, "{}", c.escape_unicode());
@@ -38,7 +38,7 @@ pub fn visible(text: &str) -> String {
     out
 }
 
-/// Writes to standard output; a reader that has gone away is no failure of the work.
+/// Writes to standard output; a closed pipe is not an error.
 pub fn print(text: &[u8]) -> Result<(), Failure> {
     let mut out = std::io::stdout();
     match out.write_all(text).and_then(|()| out.flush()) {

@@ -1,5 +1,5 @@
-//! A progress bar on a terminal, plain lines otherwise, nothing with `--quiet`. A plain line is written where something
-//! new was done, and the time left never climbs.
+//! Progress output: a bar on a terminal, plain lines otherwise, nothing with `--quiet`. A plain line is written only
+//! after new progress, and the time left never increases.
 
 use std::io::{IsTerminal, Write};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
@@ -11,18 +11,18 @@ use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 
 use super::flags::Console;
 
-/// How often a bar is drawn, whether or not anything was done.
+/// Interval at which a bar is redrawn, even without progress.
 const TICK: Duration = Duration::from_millis(200);
-/// How often a plain line is written at first, and after [`MANY`] of them.
+/// Intervals between plain lines: at first, and after [`MANY`] of them.
 const EVERY: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(10)];
-/// Plain lines after which they become rarer, so that logs of long runs stay readable.
+/// Number of plain lines after which they become rarer, so that logs of long runs stay readable.
 const MANY: usize = 10;
 
-/// Counts what is done.
+/// Counter of finished items.
 pub struct Progress {
     state: Arc<Mutex<State>>,
     bar: Option<ProgressBar>,
-    /// Writes plain lines.
+    /// Thread that writes plain lines.
     lines: Option<(Sender<()>, JoinHandle<()>)>,
 }
 
@@ -32,29 +32,29 @@ struct State {
     done: usize,
     start: Instant,
     estimate: Estimate,
-    /// What the last plain line said: its count and what was done.
+    /// Content of the last plain line: its count and the work.
     said: Option<(usize, &'static str)>,
 }
 
 /// Estimate of the time left.
 #[derive(Default)]
 struct Estimate {
-    /// From the last thing done: seconds since the start, and seconds left then.
+    /// At the last finished item: seconds since the start, and seconds left.
     last: Option<(f64, f64)>,
-    /// The least that was said.
+    /// The least printed value.
     said: Option<f64>,
 }
 
 impl Estimate {
-    /// `done` of `total` are done `passed` seconds after the start.
+    /// Records that `done` of `total` are finished `passed` seconds after the start.
     fn update(&mut self, passed: f64, done: usize, total: usize) {
         if done > 0 {
             self.last = Some((passed, passed / done as f64 * total.saturating_sub(done) as f64));
         }
     }
 
-    /// Seconds left, `passed` seconds after the start: at most what was said before. `None` where nothing is known, and
-    /// where what was said before turned out to be less than half of it.
+    /// Returns the seconds left, `passed` seconds after the start, at most the value printed before. `None` if nothing
+    /// is known, or if the value printed before was less than half of the new estimate.
     fn left(&mut self, passed: f64) -> Option<f64> {
         let (then, left) = self.last?;
         let now = (left - (passed - then)).max(0.0);
@@ -65,7 +65,7 @@ impl Estimate {
 }
 
 impl Progress {
-    /// Of `total` things called `what`, where the number is known.
+    /// Starts the progress of `total` items called `what`, if the number is known.
     pub fn new(what: &'static str, total: Option<usize>, console: &Console) -> Progress {
         let terminal = std::io::stderr().is_terminal();
         let state = Arc::new(Mutex::new(State {
@@ -87,7 +87,7 @@ impl Progress {
                 let state = state.clone();
                 let left = move |_: &ProgressState, out: &mut dyn std::fmt::Write| {
                     let left = lock(&state).left().map(time).map_or_else(String::new, |left| format!(", {left} left"));
-                    // What cannot be shown is left out.
+                    // Write errors of the terminal are ignored.
                     let _ = out.write_str(&left);
                 };
                 bar.set_style(style.with_key("left", left));
@@ -112,7 +112,7 @@ impl Progress {
         Progress { state, bar, lines }
     }
 
-    /// One more is done.
+    /// Adds one finished item.
     pub fn step(&mut self) {
         let done = lock(&self.state).done + 1;
         self.advance(done);
@@ -121,7 +121,7 @@ impl Progress {
         }
     }
 
-    /// So many are done.
+    /// Sets the number of finished items.
     pub fn reach(&mut self, done: usize) {
         self.advance(done);
         if let Some(bar) = &self.bar {
@@ -138,7 +138,7 @@ impl Progress {
         }
     }
 
-    /// Names what is done now, once everything that was counted is done.
+    /// Names the work that follows after all counted items.
     pub fn phase(&mut self, what: &'static str) {
         lock(&self.state).what = what;
         if let Some(bar) = &self.bar {
@@ -146,7 +146,7 @@ impl Progress {
         }
     }
 
-    /// All is done. (After a failure nothing is added to its message.)
+    /// Ends the progress display. (After a failure it is not called, so that nothing follows the error message.)
     pub fn finish(mut self) {
         if self.lines.is_some() {
             self.end_lines();
@@ -157,7 +157,7 @@ impl Progress {
     fn end_lines(&mut self) {
         if let Some((end, writer)) = self.lines.take() {
             drop(end);
-            // A thread that writes lines has nothing to tell.
+            // The writer thread returns no result.
             let _ = writer.join();
         }
     }
@@ -178,8 +178,8 @@ impl State {
         self.estimate.left(passed)
     }
 
-    /// A plain line, unless there is nothing new: what is done, the share and the time left where the number is known,
-    /// the time of each.
+    /// Returns a plain line if there is progress: the work, the fraction and time left if the total is known, and the
+    /// time per item.
     fn line(&mut self) -> Option<String> {
         let now = (self.done, self.what);
         if self.done == 0 || self.said == Some(now) {
@@ -204,7 +204,7 @@ impl State {
     }
 }
 
-/// Seconds for a reader.
+/// Formats seconds for the terminal.
 fn time(seconds: f64) -> String {
     let seconds = seconds.round() as u64;
     match seconds {
@@ -239,7 +239,7 @@ mod tests {
 
     #[test]
     fn the_time_left_never_climbs() {
-        // Frames come four at a time, and later ones take longer.
+        // Frames arrive four at a time, and later ones take longer.
         let (total, mut done, mut passed) = (100, 0, 3.0);
         let (mut estimate, mut said) = (Estimate::default(), Vec::new());
         while done < total {

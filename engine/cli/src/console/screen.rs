@@ -1,4 +1,4 @@
-//! A run under way on the user's terminal, and on the page where that is asked for.
+//! Display of a run: on the user's terminal and, if requested, on its page.
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,20 +10,20 @@ use super::Console;
 use super::progress::Progress;
 use super::serving::Serving;
 
-/// The page of a run, which outlives it.
+/// The page of a run, which stays open after the run.
 pub type Page = Arc<Mutex<Option<Serving>>>;
 
-/// Shows a run.
+/// Display of a run.
 pub struct Screen {
     /// Its input.
     pub input: PathBuf,
-    /// The port of the page, if there is one.
+    /// The port of the page, if requested.
     pub serve: Option<u16>,
     /// The terminal.
     pub console: Console,
-    /// The page, once it is there.
+    /// The page, once it exists.
     pub page: Page,
-    /// Frames done, once there are any.
+    /// Progress of frames, once the first is done.
     pub progress: Option<Progress>,
 }
 

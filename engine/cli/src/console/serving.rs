@@ -14,17 +14,17 @@ use crate::console::failure::Failure;
 
 /// Bytes of packets kept for browsers, so that memory does not grow with the stream.
 const KEPT: usize = 512 << 20;
-/// How often it is looked whether the user asked to stop.
+/// Interval at which stop requests are polled.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// A page under way.
+/// A page that is being served.
 pub struct Serving {
     live: Arc<Live>,
     server: Server,
 }
 
 impl Serving {
-    /// Serves on this machine alone.
+    /// Starts a server on the loopback address.
     pub fn start(port: u16, input: &Path, fps: f64, console: &Console) -> Result<Serving, Failure> {
         let live = Arc::new(Live::new(title(input), fps, KEPT));
         let server = Server::start(SocketAddr::from((Ipv4Addr::LOCALHOST, port)), &[], live.clone())?;
@@ -35,17 +35,17 @@ impl Serving {
         Ok(Serving { live, server })
     }
 
-    /// Shows one more interval.
+    /// Adds an interval to the page.
     pub fn push(&self, interval: &Interval) {
         self.live.push(interval);
     }
 
-    /// Says that the stream has ended.
+    /// Marks the end of the stream.
     pub fn complete(&self) {
         self.live.complete();
     }
 
-    /// Shows what there is until the user asks to stop.
+    /// Keeps the page until the user asks to stop.
     pub fn linger(self, console: &Console) {
         console.note(&[format!("http://{}/ shows it until Ctrl-C", self.server.address())]);
         while !console.stop.asked() {
@@ -54,7 +54,7 @@ impl Serving {
     }
 }
 
-/// Title of the page for a scene at `path`: the last component other than `scene` and `scene.json`.
+/// Returns the title of the page for a scene at `path`: the last component other than `scene` and `scene.json`.
 pub fn title(path: &Path) -> String {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let generic = ["scene", "scene.json"];

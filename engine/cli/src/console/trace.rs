@@ -10,7 +10,7 @@ use tracing_subscriber::prelude::*;
 use crate::console::Console;
 use crate::console::failure::Failure;
 
-/// Sets up logging and tracing as asked for; the trace is complete when the guard is dropped.
+/// Sets up the requested logging and tracing; the trace is complete when the guard is dropped.
 pub fn start(console: &Console) -> Result<Option<FlushGuard>, Failure> {
     let log = match &console.log {
         None => None,

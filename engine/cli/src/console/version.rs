@@ -4,12 +4,12 @@ use std::sync::LazyLock;
 
 use streamsplat_kernels::Level;
 
-/// The commit that the program was made from, where that is known.
+/// Returns the commit that the program was built from, if known.
 pub fn commit() -> Option<&'static str> {
     Some(env!("STREAMSPLAT_COMMIT")).filter(|commit| *commit != "unknown")
 }
 
-/// `0.1.0 (commit), levels scalar avx2 (in use: avx2)`.
+/// Returns the version text: `0.1.0 (commit), levels scalar avx2 (in use: avx2)`.
 pub fn version() -> &'static str {
     static TEXT: LazyLock<String> = LazyLock::new(|| {
         let levels: Vec<&str> = Level::available().into_iter().map(|level| level.name()).collect();

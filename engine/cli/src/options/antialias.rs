@@ -5,11 +5,11 @@ use std::str::FromStr;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use streamsplat::still::Still;
 
-/// Whether what is smaller than a pixel gets fainter in place of larger. Recorded as `true` or `false`; the default is
-/// not recorded.
+/// Whether footprints smaller than a pixel are dimmed instead of enlarged. Recorded as `true` or `false`; the default
+/// is not recorded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Antialias {
-    /// Where the scene's file has a mark of such training.
+    /// On if the scene's file has a mark of such training.
     #[default]
     Auto,
     /// Always.
@@ -23,7 +23,7 @@ impl Antialias {
         *self == Antialias::Auto
     }
 
-    /// For a still scene.
+    /// Returns the setting for a still scene.
     pub fn of_still(self, still: &Still) -> bool {
         match self {
             Antialias::Auto => still.about.antialiased,

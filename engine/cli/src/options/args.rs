@@ -30,7 +30,7 @@ pub struct Cli {
 }
 
 impl Cli {
-    /// The command line, with the defaults that presets have in the help of their options.
+    /// Returns the command line, with presets' defaults in the help of their options.
     pub fn with_defaults() -> clap::Command {
         let fill = |command: clap::Command| {
             options::defaults().into_iter().fold(command, |command, (name, default)| {
@@ -40,7 +40,7 @@ impl Cli {
                 }
                 command.mut_arg(id, |argument| {
                     let help = argument.get_help().map(ToString::to_string).unwrap_or_default();
-                    // What has a default of its own shows that.
+                    // Options with a default of their own show that one.
                     if help.contains("[default") || !argument.get_default_values().is_empty() {
                         return argument;
                     }
@@ -51,7 +51,7 @@ impl Cli {
         ["run", "eval"].into_iter().fold(Cli::command(), |cli, name| cli.mut_subcommand(name, fill))
     }
 
-    /// Reads a command line, the first word of which is the program's name.
+    /// Reads a command line, whose first word is the program's name.
     pub fn read(arguments: impl IntoIterator<Item = OsString>) -> Result<Cli, clap::Error> {
         Cli::from_arg_matches(&Cli::with_defaults().try_get_matches_from(arguments)?)
     }
@@ -63,7 +63,7 @@ pub enum Command {
     Run(Box<RunArgs>),
     /// Scene → images at chosen times and cameras
     Render(Box<RenderArgs>),
-    /// Key frames in, the frames between held out: PSNR and SSIM beside simple baselines
+    /// Key frames in, the frames between held out: PSNR and SSIM of the scene and of simple baselines
     Eval(Box<EvalArgs>),
     /// A model on tensors: every intermediate result of one pair of frames
     Forward(ForwardArgs),
@@ -77,16 +77,16 @@ pub enum Command {
     Track(TrackArgs),
     /// A page that shows a scene in a browser
     View(ViewArgs),
-    /// Measurements (runs the streamsplat-bench beside this program)
+    /// Measurements (runs the streamsplat-bench next to this program)
     #[command(disable_help_flag = true)]
     Bench {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<std::ffi::OsString>,
     },
-    /// Repeat what DIR/run.json describes; exit code 1 where a digest differs
+    /// Repeat what DIR/run.json describes; exit code 1 if a digest differs
     Verify(VerifyArgs),
-    /// Difference of two images, videos, folders or scenes: none, or how far apart and where; exit code 1 where they
-    /// differ. SSIM is that of scikit-image with gaussian_weights=True, its sample covariance and data_range=1
+    /// Difference of two images, videos, folders or scenes: none, or where and by how much; exit code 1 if they differ.
+    /// SSIM is that of scikit-image with gaussian_weights=True, its sample covariance and data_range=1
     Compare(CompareArgs),
     /// Golden images: record a list of renders, and check them with zero tolerance
     Golden(GoldenArgs),
@@ -136,7 +136,7 @@ pub struct RenderArgs {
     /// glTF, .splat)
     pub scene: PathBuf,
     /// Folder for the images, or a video file, or - (y4m on standard output); for a single image a .png, .exr or .webp
-    /// file (WebP without loss; of several images a video)
+    /// file (lossless WebP; for several images a video)
     #[arg(long, short, value_name = "DIR")]
     pub out: PathBuf,
     #[command(flatten)]
@@ -148,7 +148,7 @@ pub struct RenderArgs {
     pub json: Option<PathBuf>,
 }
 
-/// Everything of a rendering that reaches its output.
+/// Options of a rendering that affect its output.
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct RenderOptions {
     #[command(flatten)]
@@ -156,22 +156,22 @@ pub struct RenderOptions {
     #[command(flatten)]
     #[serde(flatten)]
     pub motion: Motion,
-    /// Images per second of the scene, where no times are given [default: the source's frame rate]
+    /// Images per second of the scene, if no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
-    /// Quality of an encoded video, as ffmpeg's -crf: less is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63
+    /// Quality of an encoded video, as ffmpeg's -crf: lower is better; 1 to 51 for .mp4, .m4v, .mov and .mkv, 0 to 63
     /// for .webm and .avif [default: 6; 18 for .webm and .avif]
     #[arg(long, value_name = "N")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crf: Option<u8>,
-    /// Outputs: rgb, webp (colours without loss), depth, alpha, exr (colour, depth and alpha as layers of one file)
+    /// Outputs: rgb, webp (lossless colours), depth, alpha, exr (colour, depth and alpha as layers of one file)
     /// [default: rgb]
     #[arg(long, value_name = "LIST")]
     #[serde(default, with = "streamsplat::run::options::text")]
     pub emit: Option<Emit>,
-    /// Let what is smaller than a pixel get fainter in place of larger, as scenes that were trained with anti-aliasing
-    /// ask for (Mip-Splatting's 2D filter, "antialiased" in gsplat): on, off, or auto, where the file has a mark of
-    /// such training [default: auto; on without a MODE]
+    /// Dim footprints smaller than a pixel instead of enlarging them, for scenes trained with anti-aliasing
+    /// (Mip-Splatting's 2D filter, "antialiased" in gsplat): on, off, or auto, if the file has a mark of such training
+    /// [default: auto; on without a MODE]
     #[arg(long, value_name = "MODE", num_args = 0..=1, default_value = "auto", default_missing_value = "on", hide_default_value = true)]
     #[serde(default, skip_serializing_if = "Antialias::is_auto")]
     pub antialias: Antialias,
@@ -190,7 +190,7 @@ pub struct RenderOptions {
     pub single: bool,
 }
 
-/// How the numbers of a still scene are taken.
+/// Interpretation of a still scene's numbers.
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Reading {
     /// Axes of a still scene's coordinates: where x, y and z point, a letter each of Right or Left, Down or Up, Front
@@ -201,7 +201,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// The axes, where some are given.
+    /// Returns the axes, if some are given.
     pub fn axes(&self) -> Result<Option<Axes>, Failure> {
         let parsed = self.axes.as_deref().map(|text| text.parse().map_err(|e| Failure::usage(format!("--axes: {e}"))));
         parsed.transpose()
@@ -211,11 +211,11 @@ impl Reading {
 /// Limits on the content of input files.
 #[derive(Args, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Limit {
-    /// Gaussians of an interval or of a still scene that are read at most [default: 16777216]
+    /// Maximum number of Gaussians of an interval or of a still scene [default: 16777216]
     #[arg(long, value_name = "N")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit_gaussians: Option<usize>,
-    /// Bytes that a scene takes in memory at most for each byte of its file; 16 MiB are always allowed [default: 256]
+    /// Maximum bytes of a scene in memory per byte of its file; 16 MiB are always allowed [default: 256]
     #[arg(long, value_name = "N")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit_ratio: Option<u64>,
@@ -226,7 +226,7 @@ pub struct Limit {
 }
 
 impl Limit {
-    /// With the default where nothing is said.
+    /// Returns the limits, with defaults where unset.
     pub fn limits(&self) -> Limits {
         let Limits { gaussians, ratio, level } = Limits::default();
         Limits {
@@ -243,8 +243,7 @@ pub struct EvalArgs {
     pub input: PathBuf,
     #[command(flatten)]
     pub stream: StreamOptions,
-    /// Give the frames between key frames as well, and measure them as seen; without it nothing but the comparison
-    /// reads them
+    /// Also process the frames between key frames, and measure them as seen; without it they are only compared
     #[arg(long)]
     pub seen: bool,
     /// Fit of frames into the model's input: stretch or letterbox
@@ -260,7 +259,7 @@ pub struct EvalArgs {
     /// measured as well
     #[arg(long, value_name = "SIZE", default_value_t = Size::Model)]
     pub size: Size,
-    /// LPIPS as well, by this ONNX file: two images in [-1,1] in, one number out; run by ONNX Runtime
+    /// Also measure LPIPS by this ONNX file: two images in [-1,1] in, one number out; run by ONNX Runtime
     #[arg(long, value_name = "FILE")]
     pub lpips_model: Option<PathBuf>,
     /// Renderer: cpu, or wgpu (a graphics card) [default: cpu]
@@ -307,7 +306,7 @@ pub struct SplatArgs {
 pub struct InspectArgs {
     /// A checkpoint, a scene (folder, container, PLY, SPZ, SOG, glTF, .splat), or an interval
     pub file: PathBuf,
-    /// Write what is found here
+    /// Write the findings here
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     #[command(flatten)]
@@ -321,8 +320,8 @@ pub struct ExportArgs {
     /// A scene's folder, its scene.json, the folder of a run, a container (.ssz), or a still scene (PLY, SPZ, SOG,
     /// glTF, .splat)
     pub scene: PathBuf,
-    /// Scenes in time that follow it, for --format ssz: all become one scene. One that begins before the end of the one
-    /// before follows it a frame later
+    /// Scenes in time that follow it, for --format ssz: all become one scene. A scene that begins before the end of the
+    /// previous one starts a frame after it
     #[arg(value_name = "SCENE")]
     pub more: Vec<PathBuf>,
     /// Format: ply (the layout of 3D Gaussian splatting), compressed-ply, spz, sog, glb, splat (32-byte records), or
@@ -335,7 +334,7 @@ pub struct ExportArgs {
     /// Times in seconds: a list (0,0.5,1.25) or START:END:COUNT [default: the input's own frame times]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
     pub times: Option<Times>,
-    /// Files per second of the scene, where no times are given [default: the source's frame rate]
+    /// Files per second of the scene, if no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
     /// Version of SPZ files: 3, which viewers open, or 4 [default: 3]
@@ -362,13 +361,13 @@ pub struct TrackArgs {
     /// Times of the path in seconds: a list or START:END:COUNT [default: the input's own frame times, and T]
     #[arg(long, value_name = "TIMES", allow_hyphen_values = true)]
     pub times: Option<Times>,
-    /// Points per second of the scene, where no times are given [default: the source's frame rate]
+    /// Points per second of the scene, if no times are given [default: the source's frame rate]
     #[arg(long, value_name = "RATE", allow_negative_numbers = true)]
     pub fps: Option<f64>,
     /// Write the path (CSV) here instead of to standard output
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Also write what is found here
+    /// Also write the findings here
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     #[command(flatten)]
@@ -388,14 +387,13 @@ pub struct ViewArgs {
     /// Address to serve on
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
     pub host: std::net::IpAddr,
-    /// A name that browsers may give this machine, beside addresses and localhost; can be repeated
+    /// A name that browsers may use for this machine, in addition to addresses and localhost; can be repeated
     #[arg(long, value_name = "NAME")]
     pub allow_host: Vec<String>,
     /// Serve nothing: write the page with the scene in it as this file, which opens by itself
     #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "host", "allow_host"])]
     pub html: Option<PathBuf>,
-    /// Address of the page of --html on the web, for the tags that programs read which show links; its poster is
-    /// FILE.png beside it
+    /// Address of the page of --html on the web, for the tags of link previews; its poster is FILE.png next to it
     #[arg(long, value_name = "URL", requires = "html")]
     pub url: Option<String>,
     #[command(flatten)]
@@ -416,22 +414,21 @@ pub struct VerifyArgs {
 
 #[derive(Args, Clone)]
 pub struct CompareArgs {
-    /// An image, a video, a scene, or a folder, such as that of a rendering, of which every file is compared
+    /// An image, a video, a scene, or a folder, for example a rendering, of which every file is compared
     pub a: PathBuf,
     /// Another of the same kind
     pub b: PathBuf,
-    /// Pass where no sample of any channel differs by more than N steps of 8 bits: N/255 of the range of whole numbers,
+    /// Pass if no sample of any channel differs by more than N steps of 8 bits: N/255 of the range of whole numbers,
     /// N/255 for floats; parts of a step are allowed
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub max_abs: Option<f64>,
-    /// Pass where every picture has at least this PSNR over all its channels, peak 1, in dB; with --max-abs both must
-    /// hold
+    /// Pass if every picture has at least this PSNR over all its channels, peak 1, in dB; with --max-abs both must hold
     #[arg(long, value_name = "DB", allow_negative_numbers = true)]
     pub psnr: Option<f64>,
-    /// Write a PNG that shows where the two pictures that are farthest apart differ
+    /// Write a PNG that shows where the two pictures that differ most differ
     #[arg(long, value_name = "FILE")]
     pub heat: Option<PathBuf>,
-    /// Print JSON instead of text, or write it to FILE (--json=FILE) beside the text
+    /// Print JSON instead of text, or write it to FILE (--json=FILE) in addition to the text
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true, default_missing_value = "-")]
     pub json: Option<PathBuf>,
     #[command(flatten)]
@@ -448,9 +445,9 @@ pub struct GoldenArgs {
 
 #[derive(Subcommand, Clone)]
 pub enum GoldenAction {
-    /// Draw everything in FILE.toml and record digests and previews in the folder FILE.golden beside it
+    /// Draw everything in FILE.toml and record digests and previews in the folder FILE.golden next to it
     Record(GoldenRecordArgs),
-    /// Draw everything again and compare with the record; exit code 1 where one bit differs
+    /// Draw everything again and compare with the record; exit code 1 if one bit differs
     Check(GoldenCheckArgs),
 }
 
@@ -470,13 +467,13 @@ pub struct GoldenCheckArgs {
     /// The list of renders (docs/golden.md)
     #[arg(value_name = "FILE.toml")]
     pub file: PathBuf,
-    /// Folder for images that differ, beside what was expected [default: FILE.failed]
+    /// Folder for images that differ, with the expected ones [default: FILE.failed]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// Write the results as JUnit XML
     #[arg(long, value_name = "FILE")]
     pub junit: Option<PathBuf>,
-    /// Print JSON instead of the table, or write it to FILE (--json=FILE) beside the table
+    /// Print JSON instead of the table, or write it to FILE (--json=FILE) in addition to the table
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true, default_missing_value = "-")]
     pub json: Option<PathBuf>,
     #[command(flatten)]

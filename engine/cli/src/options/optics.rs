@@ -1,4 +1,4 @@
-//! How images are exposed and footprints drawn, from their options.
+//! Exposure and footprints of images, from their options.
 
 use clap::Args;
 use serde::{Deserialize, Serialize};
@@ -10,9 +10,9 @@ use crate::console::failure::Failure;
 
 /// Default number of images of a shutter.
 const SAMPLES: u32 = 16;
-/// Most of them.
+/// Maximum number of images of a shutter.
 const MOST_SAMPLES: i64 = 1024;
-/// A whole turn of the shutter, in degrees.
+/// A full turn of the shutter, in degrees.
 const TURN: f64 = 360.0;
 
 /// Footprints, lens and shutter.
@@ -23,7 +23,7 @@ pub struct Optics {
     #[arg(long, value_name = "NAME")]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub footprint: Option<String>,
-    /// All around the camera, in place of what its lens sees: longitudes across the image, latitudes down [default:
+    /// All directions around the camera, instead of its lens: longitudes across the image, latitudes down [default:
     /// from the middle of a still scene, 2048x1024]
     #[arg(long, conflicts_with = "stereo")]
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -32,7 +32,7 @@ pub struct Optics {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub f_stop: Option<f64>,
-    /// Distance of what is in focus, along the camera's axis, in the scene's units, or inf [default: that of a still
+    /// Distance of the plane in focus, along the camera's axis, in the scene's units, or inf [default: that of a still
     /// scene's middle]
     #[arg(long, value_name = "DISTANCE", requires = "f_stop", allow_hyphen_values = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -42,7 +42,7 @@ pub struct Optics {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor_height: Option<f64>,
     /// Motion blur: each image is the mean, in linear light, of several over this part of the time from one image to
-    /// the next, of which 360 is all; 0 is none
+    /// the next; 360 is all of it, 0 none
     #[arg(long, value_name = "DEGREES", allow_negative_numbers = true)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shutter: Option<f64>,
@@ -78,7 +78,7 @@ impl Optics {
         }
     }
 
-    /// The path, with panorama lenses if `--panorama` is set.
+    /// Returns the path, with panorama lenses if `--panorama` is set.
     pub fn around(&self, path: CameraPath) -> Result<CameraPath, Failure> {
         if !self.panorama {
             return Ok(path);
@@ -115,14 +115,14 @@ impl Optics {
         Ok(Some(Aperture { f_stop, focus, sensor_height }))
     }
 
-    /// Brings a point into focus, where no distance was given.
+    /// Focuses on a point, if no distance was given.
     pub fn focus_on(&self, views: &mut Views, point: [f64; 3]) {
         if let (None, Some(aperture)) = (&self.focus, &mut views.options.aperture) {
             aperture.focus = Focus::Point(point);
         }
     }
 
-    /// Refuses a lens without a distance in focus, where the scene has no middle that is known before.
+    /// Returns an error for a lens without a focus distance, if the scene has no middle known beforehand.
     pub fn needs_focus(&self) -> Result<(), Failure> {
         match (self.f_stop, &self.focus) {
             (Some(_), None) => Err(Failure::usage("--f-stop: expected --focus as well for a scene in time")),

@@ -1,11 +1,11 @@
-//! Times of a scene at which something is wanted.
+//! Requested times of a scene.
 
 use streamsplat::scene::{Scene, SceneError};
 
 use crate::console::failure::Failure;
 
-/// The times of images, each with the interval that shows it: `asked`, else `fps` a second, else the source's frames. A
-/// time outside the scene is a usage error, found before any work.
+/// Returns the times of images, each with the interval that shows it: `asked`, else `fps` a second, else the source's
+/// frames. A time outside the scene is a usage error, found before any work.
 pub fn of_scene(scene: &Scene, asked: Option<&[f64]>, fps: Option<f64>) -> Result<Vec<(f64, usize)>, Failure> {
     let times = match (asked, fps, scene.index().frames()) {
         (Some(times), ..) => times.to_vec(),
@@ -15,7 +15,7 @@ pub fn of_scene(scene: &Scene, asked: Option<&[f64]>, fps: Option<f64>) -> Resul
     times.into_iter().map(|time| Ok((time, find(scene, "--times", time)?))).collect()
 }
 
-/// The interval that shows the `time` that `option` gave.
+/// Returns the interval that shows the `time` of `option`.
 pub fn find(scene: &Scene, option: &str, time: f64) -> Result<usize, Failure> {
     scene.find(time).map_err(|e| match e {
         SceneError::Time { .. } => Failure::usage(format!("{option}: {e}")),
@@ -23,7 +23,7 @@ pub fn find(scene: &Scene, option: &str, time: f64) -> Result<usize, Failure> {
     })
 }
 
-/// Refuses frame rates that are none.
+/// Returns an error for an invalid frame rate.
 pub fn check_rate(fps: Option<f64>) -> Result<(), Failure> {
     if fps.is_some_and(|fps| !(fps.is_finite() && fps > 0.0)) {
         return Err(Failure::usage("--fps: expected a number above 0"));
@@ -31,8 +31,8 @@ pub fn check_rate(fps: Option<f64>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Times from the scene's start, `fps` to the second, up to its end. The end is met when it is within a millionth of a
-/// step.
+/// Returns times from the scene's start, `fps` to the second, up to its end. The end is included if it is within a
+/// millionth of a step.
 fn grid((start, end): (f64, f64), fps: f64) -> Result<Vec<f64>, Failure> {
     let steps = (end - start) * fps;
     if !(steps.is_finite() && steps < 1e7) {

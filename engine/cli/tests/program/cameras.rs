@@ -17,7 +17,7 @@ const SIZE: [f64; 2] = [90.0, 60.0];
 const FOCAL: [f64; 2] = [88.0, 72.5];
 const CENTRE: [f64; 2] = [41.5, 33.25];
 
-/// Camera to world: the rotation's rows and the centre.
+/// Converts to camera to world: the rotation's rows and the centre.
 fn pose([w, x, y, z]: [f64; 4], t: [f64; 3]) -> ([[f64; 3]; 3], [f64; 3]) {
     let n = (w * w + x * x + y * y + z * z).sqrt();
     let [w, x, y, z] = [w / n, -x / n, -y / n, -z / n];
@@ -98,7 +98,7 @@ fn colmap_text(scratch: &Scratch, centre: [f64; 2]) -> PathBuf {
     folder
 }
 
-/// A model with wrong poses in `images.txt`, and the right ones in its rigs and frames.
+/// Writes a model with wrong poses in `images.txt`, and the right ones in its rigs and frames.
 fn colmap_rigs(scratch: &Scratch, centre: [f64; 2]) -> PathBuf {
     let folder = colmap_text(scratch, centre);
     let (model, [a, b]) = (scratch.path("rigs"), IMAGES);
@@ -263,7 +263,7 @@ fn cameras_of_viewers_are_read_with_their_fields_of_view() {
     for (name, camera, more) in [("path", &nerfstudio, &[][..]), ("settings", &supersplat, &["--size", "90x60"])] {
         let found = picture(name, camera, more);
         let far = found.as_raw().iter().zip(expected.as_raw()).map(|(a, b)| a.abs_diff(*b)).max();
-        // Fields of view are angles, and so no numbers of binary64 alone.
+        // Fields of view are angles, and so not exact in binary64.
         assert!(far <= Some(1), "{name}: {far:?}");
     }
     assert_eq!(drawn(&scratch, "both", &scene, &nerfstudio, &[]).len(), 2);

@@ -48,7 +48,7 @@ fn images_are_equal_or_said_to_differ_with_place_and_distance() {
 fn a_limit_of_one_level_passes_one_level_whatever_its_place() {
     let scratch = Scratch::new();
     let [a, b] = ["a.png", "b.png"].map(|name| scratch.path(name));
-    // Pixels of 150 levels, and the level after each.
+    // Pixels of 150 levels, and of the level above each.
     image(&a, |x, y| ((x + 40 * y) % 150) as u8);
     image(&b, |x, y| ((x + 40 * y) % 150) as u8 + 1);
     assert!(compare(&a, &b, &["--max-abs", "1"]).status.success());
@@ -64,7 +64,7 @@ fn names_that_are_not_text_are_compared() {
     let [a, b] = ["a", "b"].map(|folder| scratch.path(folder));
     for (folder, level) in [(&a, 0), (&b, 9)] {
         std::fs::create_dir(folder).expect("writable");
-        // The writer of images takes its format from a name in text.
+        // The image writer chooses its format by a UTF-8 name.
         image(&folder.join("1.png"), |_, _| level);
         std::fs::rename(folder.join("1.png"), folder.join(name)).expect("writable");
     }
@@ -130,7 +130,7 @@ fn videos_are_compared_frame_by_frame() {
     assert!(fails(&output, 1).contains("1 of 2 frames differ"));
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(said.contains("frame 1: largest difference") && said.contains("at column 0, row 1"), "{said}");
-    // The mean comes last, also where the difference is within the limits.
+    // The mean is printed last, also if the difference is within the limits.
     for output in [output, compare(&a, &b, &["--max-abs", "2"])] {
         let said = String::from_utf8_lossy(&output.stdout).into_owned();
         assert!(said.lines().last().is_some_and(|line| line.starts_with("mean of 2 frames: PSNR ")), "{said}");
@@ -212,7 +212,7 @@ fn alpha_is_compared_as_a_channel() {
     fails(&compare(&a, &c, &["--max-abs", "254"]), 1);
 }
 
-/// A PNG chunk.
+/// Builds a PNG chunk.
 fn chunk(kind: &[u8; 4], data: &[u8]) -> Vec<u8> {
     let body = [&kind[..], data].concat();
     let mut crc = flate2::Crc::new();
@@ -220,7 +220,7 @@ fn chunk(kind: &[u8; 4], data: &[u8]) -> Vec<u8> {
     [&(data.len() as u32).to_be_bytes()[..], &body, &crc.sum().to_be_bytes()].concat()
 }
 
-/// An animated PNG of grey frames of 2x1 pixels.
+/// Builds an animated PNG of grey frames of 2x1 pixels.
 fn apng(frames: &[[u8; 2]]) -> Vec<u8> {
     let mut bytes = b"\x89PNG\r\n\x1a\n".to_vec();
     bytes.extend(chunk(b"IHDR", &[0, 0, 0, 2, 0, 0, 0, 1, 8, 0, 0, 0, 0]));
@@ -339,7 +339,7 @@ fn every_interval_of_a_scene_is_read_whatever_its_index_says() {
             None => std::fs::remove_file(&last).expect("there"),
         }
         assert!(fails(&compare(&first, &second, &[]), 1).contains("interval-000002"));
-        // Beside itself, too: nothing of it can be vouched for.
+        // Compared with itself, too: a damaged interval is an error.
         assert!(fails(&compare(&second, &second, &[]), 1).contains("interval-000002"));
         assert!(fails(&inspect(&second), 1).contains("interval-000002"));
         let output = golden("check");

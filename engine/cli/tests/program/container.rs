@@ -55,7 +55,7 @@ fn every_command_reads_a_container_and_its_bytes_do_not_depend_on_threads() {
         assert!((a[2] - b[2]).abs() < 0.05 && (a[3] - b[3]).abs() < 0.05, "{a:?} {b:?}");
     }
 
-    // A container exported is the container again.
+    // Exporting a container produces the container again.
     ok(&mut export(&container, &again, &[]));
     let (a, b) = (Scene::open(&container).expect("valid"), Scene::open(&again).expect("valid"));
     assert_eq!(a.index().intervals, b.index().intervals);

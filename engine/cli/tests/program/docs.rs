@@ -1,4 +1,4 @@
-//! Pages under `docs/` and the README say what the program and the records say.
+//! Pages under `docs/` and the README agree with the program and the records.
 //!
 //! `STORE_DOCS=1 cargo test --release -p streamsplat-cli --test program docs` writes the generated parts:
 //! `docs/cli.md`, and the tables of records in the README and `docs/performance.md`.
@@ -21,7 +21,7 @@ fn read(path: &Path) -> String {
     std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// Compares a page with its generated text, or writes it where `STORE_DOCS` asks for it.
+/// Compares a page with its generated text, or writes it if `STORE_DOCS` is set.
 fn assert_generated(page: &str, expected: &str) {
     let path = root().join(page);
     if std::env::var_os("STORE_DOCS").is_some() {
@@ -40,7 +40,7 @@ fn help(arguments: &[&str]) -> String {
     text.lines().map(str::trim_end).collect::<Vec<_>>().join("\n")
 }
 
-/// The subcommands that `--help` lists, without `help`.
+/// Returns the subcommands that `--help` lists, without `help`.
 fn commands(help: &str) -> Vec<&str> {
     let listed = help.lines().skip_while(|line| !line.starts_with("Commands:")).skip(1);
     let lines = listed.take_while(|line| !line.is_empty()).filter(|line| !line.starts_with("   "));
@@ -57,7 +57,7 @@ fn the_page_of_options_is_what_the_program_says() {
     let commands = commands(&whole);
     assert!(commands.contains(&"run") && commands.len() > 10, "{commands:?}");
     for command in commands {
-        // `bench` hands its arguments to another program, whose page is bench/README.md.
+        // `bench` passes its arguments to another program, whose page is bench/README.md.
         let text = if command == "bench" {
             "Its options are those of [`streamsplat-bench`](../bench/README.md).".to_owned()
         } else {
@@ -74,8 +74,7 @@ fn the_page_of_options_is_what_the_program_says() {
     assert_generated("docs/cli.md", &page);
 }
 
-/// The default that the help of `run` prints for each option, up to a `;` after which others than the embedded model's
-/// follow.
+/// Returns the default in the help of `run` for each option, up to a `;`, after which defaults of other models follow.
 fn defaults(help: &str) -> BTreeMap<String, String> {
     let mut found = BTreeMap::new();
     let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -88,7 +87,7 @@ fn defaults(help: &str) -> BTreeMap<String, String> {
     found
 }
 
-/// Options of a record by their names on the command line, out of their groups.
+/// Collects the options of a record by their names on the command line, without their groups.
 fn recorded(options: &Value, found: &mut BTreeMap<String, String>) {
     for (name, value) in options.as_object().expect("an object") {
         match value {
@@ -122,7 +121,7 @@ fn the_defaults_in_the_help_are_those_of_a_run() {
 
 const BEGIN: &str = "<!-- table of ";
 
-/// The page with the table of each record it names between `<!-- table of FILE -->` and `<!-- end -->`.
+/// Returns the page with the table of each record that it names between `<!-- table of FILE -->` and `<!-- end -->`.
 fn with_tables(page: &str) -> String {
     let mut parts = page.split(BEGIN);
     let mut text = parts.next().unwrap_or_default().to_owned();
@@ -150,8 +149,8 @@ fn table(name: &str, record: &Value) -> String {
     }
 }
 
-/// A row per quality: median over clips of frames a second, with the least and the most, and the mean over clips of
-/// PSNR.
+/// Returns a row per quality: the median over clips of frames a second, with the least and the most, and the mean over
+/// clips of PSNR.
 fn qualities(record: &Value) -> String {
     let mut page = "| `--quality` | frames a second | PSNR |\n|---|---:|---:|\n".to_owned();
     for quality in ["realtime", "balanced", "best"] {
@@ -170,7 +169,7 @@ fn qualities(record: &Value) -> String {
     page
 }
 
-/// A row per format of still scenes.
+/// Returns a row per format of still scenes.
 fn formats() -> String {
     let mut page = "| still scenes | `--format` | keeps | loses |\n|---|---|---|---|\n".to_owned();
     for format in &FORMATS {
@@ -196,7 +195,7 @@ fn text(value: &Value) -> &str {
     value.as_str().expect("text")
 }
 
-/// A row per stage and precision: our seconds, and theirs with our time over theirs.
+/// Returns a row per stage and precision: our seconds, and theirs with the ratio of our time to theirs.
 fn peers(record: &Value) -> String {
     let results = list(&record["results"]);
     let version = |package: &str| {
@@ -265,7 +264,7 @@ fn tables_of_measurements_are_those_of_the_records() {
         assert!(text.matches(BEGIN).count() >= least, "{page}: tables of records");
         assert_generated(page, &with_tables(&text));
     }
-    // Another figure is another page.
+    // Another figure changes the page.
     let page = read(&root().join("README.md"));
     let other = page.replacen("| realtime | ", "| realtime | 9", 1);
     assert!(other != page && with_tables(&other) != other);
@@ -281,7 +280,7 @@ fn the_readme_and_the_glossary_stay_short() {
     assert!(lines <= 60, "docs/glossary.md: {lines} lines");
 }
 
-/// The files that a page links to, relative to its folder.
+/// Iterates over the files that a page links to, relative to its folder.
 fn links(page: &str) -> impl Iterator<Item = &str> {
     let targets = page.split("](").skip(1).filter_map(|rest| rest.split([')', '#']).next());
     targets.filter(|target| !target.is_empty() && !target.contains("://"))
@@ -310,7 +309,7 @@ fn links_between_pages_lead_to_files() {
     assert!(found > 30, "{found} links");
 }
 
-/// Paths of this repository that a page names between backquotes.
+/// Iterates over the paths of this repository that a page names between backquotes.
 fn paths(page: &str) -> impl Iterator<Item = &str> {
     let codes = page.split('`').skip(1).step_by(2);
     codes.filter(|code| {

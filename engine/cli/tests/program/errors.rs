@@ -1,4 +1,4 @@
-//! Failures are one line with the cause, an exit code, and nothing half-written.
+//! A failure is one line with the cause and an exit code, and leaves no partial output.
 
 use std::path::Path;
 
@@ -6,12 +6,12 @@ use streamsplat_fixtures as fixtures;
 
 use crate::support::{Scratch, command, fails, model, run, run_ok};
 
-/// `run` with the small model and these arguments after the input and `--out`.
+/// Runs `run` with the small model and these arguments after the input and `--out`.
 fn attempt(input: &Path, out: &Path, more: &[&str]) -> std::process::Output {
     command().arg("run").arg(input).arg("--out").arg(out).args(more).output().expect("the program starts")
 }
 
-/// No file of any kind below `folder` (which may not exist).
+/// Asserts that there is no file below `folder` (which may not exist).
 fn nothing_written(folder: &Path) {
     if folder.exists() {
         let files = crate::support::files(folder);
@@ -82,7 +82,7 @@ fn unknown_and_unavailable_values_are_wrong_use() {
     for arguments in [&["fly"][..], &["run"], &["run", "-"], &[]] {
         let output = run(arguments);
         if arguments.is_empty() {
-            // Without any word the help is shown.
+            // Without arguments the help is shown.
             assert!(matches!(output.status.code(), Some(0 | 2)));
         } else {
             fails(&output, 2);
@@ -159,7 +159,7 @@ fn what_came_before_the_cut_of_a_stream_is_kept() {
         let text = fails(&attempt(&cut, &out, &[&model[..], &["--quiet"]].concat()), 1);
         assert!(text.contains("cut.y4m: frame 3 ends early"), "{text}");
         assert!(attempt(&whole, &expected, &model).status.success());
-        // The output is that of the three frames, and the record holds the damage.
+        // The output is that of the three frames, and the record contains the damage.
         let record = |out: &Path| match out.is_dir() {
             true => crate::support::record(&out.join("run.json")),
             false => crate::support::record(
@@ -224,7 +224,7 @@ fn models_and_depth_networks_that_cannot_be_loaded_leave_no_folder() {
     ] {
         fails(&attempt(&clip, &out, more), 1);
         assert!(!scratch.path("a").exists(), "{more:?}");
-        // Folders of others stay, and nothing is left in them.
+        // Existing folders stay, and nothing is left in them.
         std::fs::create_dir_all(&out).expect("writable");
         fails(&attempt(&clip, &out, more), 1);
         assert_eq!(std::fs::read_dir(&out).expect("there").count(), 0, "{more:?}");
@@ -236,11 +236,11 @@ fn models_and_depth_networks_that_cannot_be_loaded_leave_no_folder() {
 fn an_unwritable_output_is_found_before_the_work() {
     let scratch = Scratch::new();
     let clip = scratch.clip("clip", 2, 40, 24);
-    // A file stands where a folder should be: no permission helps, not even a superuser's.
+    // A file is in the place of a folder: this fails for every user, even the superuser.
     let file = scratch.path("file");
     std::fs::write(&file, b"in the way").expect("writable");
     for out in [file.join("out"), file.join("video.y4m"), file.clone()] {
-        // The model is not even looked for.
+        // The error comes before the model is searched for.
         let text = fails(&attempt(&clip, &out, &["--model", "no/such/model.safetensors"]), 1);
         assert!(text.contains("cannot write") && text.contains("file"), "{text}");
     }

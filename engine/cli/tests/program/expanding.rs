@@ -1,5 +1,5 @@
-//! Small files of packed formats that unpack to gigabytes: refused within 100 MB and five seconds, and read where they
-//! are small.
+//! Small files of packed formats that unpack to gigabytes: an error within 100 MB and five seconds. Small content is
+//! read.
 
 use std::ffi::OsString;
 use std::io::{Cursor, Write};
@@ -33,7 +33,7 @@ fn run(file: &Path, words: &[&str]) -> Option<String> {
     })
 }
 
-/// A file is refused by what only looks at it and by what draws it.
+/// Asserts that a file is an error for the command that only inspects it and for the one that draws it.
 fn is_refused(file: &Path, expected: &str) {
     let out = file.with_extension("out");
     for words in [&["inspect"][..], &["render", "--out", out.to_str().expect("UTF-8")]] {
@@ -44,7 +44,7 @@ fn is_refused(file: &Path, expected: &str) {
     assert!(!out.exists());
 }
 
-/// A WebP image of one colour, with an alpha that rotations have.
+/// Encodes a WebP image of one colour, with an alpha that is valid for rotations.
 fn solid(side: u32) -> Vec<u8> {
     let mut file = Cursor::new(Vec::new());
     let image = image::RgbaImage::from_pixel(side, side, image::Rgba([128, 128, 128, 255]));
@@ -52,7 +52,7 @@ fn solid(side: u32) -> Vec<u8> {
     file.into_inner()
 }
 
-/// The `meta.json` of a scene whose images are all `a.webp`.
+/// Returns the `meta.json` of a scene whose images are all `a.webp`.
 fn meta(count: u32) -> Vec<u8> {
     let codebook = vec![-4.0; 256];
     let coded = json!({"codebook": codebook, "files": ["a.webp"]});
@@ -80,7 +80,7 @@ fn images_of_one_colour_that_stand_for_millions_of_gaussians_are_refused() {
     is_refused(&write(scratch.path("a.sog"), &together), "meta.json: count: expected at most");
     write(scratch.path("a.webp"), &image);
     is_refused(&write(scratch.path("meta.json"), &meta(count)), "count: expected at most");
-    // A scene of few Gaussians may be as regular as it likes, and the ratio can be raised.
+    // A scene of few Gaussians may compress by any ratio, and the limit can be raised.
     let image = solid(552);
     let file = |count| zipped(&[("meta.json", &meta(count)), ("a.webp", &image)]);
     let few = write(scratch.path("few.sog"), &file(200_000));
@@ -90,7 +90,7 @@ fn images_of_one_colour_that_stand_for_millions_of_gaussians_are_refused() {
     assert_eq!(run(&more, &["inspect", "--limit-ratio", "1000000"]), None);
 }
 
-/// A binary glTF file with another document.
+/// Replaces the document of a binary glTF file.
 fn glb(document: &Value, binary: &[u8]) -> Vec<u8> {
     let mut text = document.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
@@ -102,7 +102,7 @@ fn glb(document: &Value, binary: &[u8]) -> Vec<u8> {
     [&head[..], &text, &word(binary.len()), b"BIN\0", &binary].concat()
 }
 
-/// An SPZ file of version 3 of so many equal Gaussians.
+/// Builds an SPZ file of version 3 with `count` equal Gaussians.
 fn spz(count: u32) -> Vec<u8> {
     let mut out = GzEncoder::new(Vec::new(), Compression::best());
     let head = [*b"NGSP", 3_u32.to_le_bytes(), count.to_le_bytes(), [0, 12, 0, 0]].concat();
@@ -130,10 +130,10 @@ fn nodes_that_share_a_mesh_are_counted_each() {
     };
     instances(&mut document, 4096);
     is_refused(&write(scratch.path("a.glb"), &glb(&document, binary)), "meshes of all nodes: expected at most");
-    // Some instances are what instances are for.
+    // A moderate number of instances is allowed.
     instances(&mut document, 20);
     assert_eq!(run(&write(scratch.path("few.glb"), &glb(&document, binary)), &["inspect"]), None);
-    // An SPZ file that many show.
+    // An SPZ file with many instances.
     let packed = spz(20_000);
     let extension = json!({"extensions": {"KHR_gaussian_splatting_compression_spz_2": {"bufferView": 0}}});
     let mut document = json!({
@@ -146,7 +146,7 @@ fn nodes_that_share_a_mesh_are_counted_each() {
     is_refused(&write(scratch.path("spz.glb"), &glb(&document, &packed)), "meshes of all nodes: expected at most");
     instances(&mut document, 5);
     assert_eq!(run(&write(scratch.path("few-spz.glb"), &glb(&document, &packed)), &["inspect"]), None);
-    // So do meshes of one view, without a scene.
+    // So do many meshes of one buffer view, without a scene.
     document["meshes"] = vec![document["meshes"][0].clone(); 500].into();
     for name in ["scene", "scenes", "nodes"] {
         document.as_object_mut().expect("an object").remove(name);
@@ -154,9 +154,9 @@ fn nodes_that_share_a_mesh_are_counted_each() {
     is_refused(&write(scratch.path("meshes.glb"), &glb(&document, &packed)), "meshes of all nodes: expected at most");
 }
 
-/// A container of intervals of so many records of zeros.
+/// Builds a container of intervals with `count` records of zeros each.
 fn container(intervals: usize, count: u32) -> Vec<u8> {
-    // Column after column; those of links, of the change of colour, of thickness and of merges are empty.
+    // Column after column; the columns of links, of the change of colour, of thickness and of merges are empty.
     let column = |length: u32| {
         let mut out = DeflateEncoder::new(Vec::new(), Compression::best());
         out.write_all(&vec![0; length as usize]).expect("memory");
@@ -185,7 +185,7 @@ fn container(intervals: usize, count: u32) -> Vec<u8> {
 #[test]
 fn intervals_of_nothing_but_zeros_are_refused() {
     let scratch = Scratch::new();
-    // One of many records; and many, none of which is large.
+    // One interval with many records; and many intervals, none of which is large.
     for (name, intervals, count) in [("one.ssz", 1, 1 << 22), ("many.ssz", 300, 1 << 16)] {
         let file = container(intervals, count);
         assert!(file.len() < 800_000, "{}", file.len());

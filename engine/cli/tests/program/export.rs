@@ -1,4 +1,4 @@
-//! Scenes in the formats of others, and scenes that have been on disk.
+//! Scenes in the formats of other programs, and scenes that have been on disk.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ fn export_ok(scene: &Path, out: &Path, more: &[&str]) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// A short stream, as it comes out of the engine.
+/// Returns a short stream as the engine returns it.
 fn live() -> (Vec<Interval>, Workers) {
     let settings = Settings::with_model(ModelSource::File { checkpoint: model(), dinov2: None });
     let mut engine = Engine::new(settings).expect("the small model");
@@ -64,7 +64,7 @@ fn a_scene_read_back_exports_what_the_live_one_shows() {
     assert_ne!(expected[1], expected[3]);
 
     let list = ["--times", "0,0.03,0.1,0.15,0.2,0.29", "--threads", "3", "--format"];
-    // The source's own view lies beside the files of each export.
+    // The source's own view is next to the files of each export.
     for (format, write) in
         [("ply", export::ply as fn(&Snapshot) -> Vec<u8>), ("splat", export::splat), ("spz", export::spz)]
     {
@@ -95,7 +95,7 @@ fn a_run_emits_the_files_that_its_scene_exports() {
     assert!(!run.keys().any(|name| name.starts_with("frames/")));
     let output = command().arg("verify").arg(&out).output().expect("the program starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // One time may go to one file.
+    // A single time may go to one file.
     let one = scratch.path("one.ply");
     export_ok(&out, &one, &["--format", "ply", "--times", "0"]);
     assert!(std::fs::read(&one).expect("readable") == exported["000000.ply"]);
@@ -135,13 +135,13 @@ fn what_cannot_be_exported_is_said_and_nothing_written() {
 fn a_camera_sees_an_exported_file_as_it_sees_the_scene() {
     let scratch = Scratch::new();
     let camera = scratch.path("camera.json");
-    // Wide, upright, and as the model has it. The last camera is turned, with parallel rays.
+    // Wide, upright, and in the model's shape. The last camera is turned and orthographic.
     for (width, height) in [(80, 34), (30, 54), (80, 48)] {
         let clip = scratch.clip(&format!("clip{width}"), 2, width, height);
         let (out, files) = (scratch.path(&format!("out{width}")), scratch.path(&format!("ply{width}")));
         run_ok(&clip, &out, &["--quiet", "--gap", "1", "--emit", "scene"]);
         export_ok(&out, &files, &["--format", "ply", "--times", "0.02"]);
-        // So small that nothing of the scene is drawn larger than the model had it, and widened.
+        // Small enough that no part of the scene is drawn larger than at the model's size and widened.
         let size = format!("{}x{}", width / 2, height / 2);
         let aspect = f64::from(width) / f64::from(height);
         for (name, view) in [
@@ -209,11 +209,11 @@ fn an_exported_file_is_rendered_from_where_its_scene_was_filmed() {
             let square: f64 = scene.iter().zip(&image).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2)).sum();
             let decibels = 20.0 * 255f64.log10() - 10.0 * (square / scene.len() as f64).max(1e-9).log10();
             println!("{width}x{height}: {decibels:.1} dB");
-            // Of the upright clip the source is larger than the model saw it: the scene is widened, which a file cannot
-            // be.
+            // The upright clip's source is larger than the model's input: the scene is widened, which a file cannot
+            // express.
             assert!(decibels > 40.0, "{width}x{height}: {decibels:.1} dB");
         }
-        // Other views are those that options ask for, and a rendering can be repeated.
+        // Options select other views, and a rendering can be repeated.
         let (found, _, said) = drawn(&one, "turned.png", &["--turntable", "0.04", "--size", "32x24"]);
         assert!(found == (32, 24) && !said.contains("seen from"), "{said}");
         let out = scratch.path("out");
@@ -260,7 +260,7 @@ fn scenes_one_after_another_become_one() {
         assert!(after.gaussians.identity.iter().all(|&identity| identity > known), "no identity is used twice");
         assert!(after.gaussians.birth.iter().all(|&birth| birth > expected.index.min(1)));
     }
-    // Only containers hold several, and only of one rate.
+    // Only containers hold several scenes, and only with one rate.
     let more = second.to_str().expect("UTF-8");
     let text = fails(&export(&first, &scratch.path("x.ply"), &[more, "--times", "0"]), 2);
     assert!(text.contains("second: expected one scene, or --format ssz for several in time"), "{text}");

@@ -1,4 +1,4 @@
-//! A still scene without a camera: framed by itself, turned, as a single image, with nothing behind it.
+//! A still scene without a camera file: framed automatically, turned, as a single image, with an empty background.
 
 use std::path::Path;
 use std::process::Output;
@@ -129,7 +129,7 @@ fn antialiasing_makes_what_is_small_fainter_and_is_part_of_the_record() {
     assert_eq!(record["options"]["antialias"], true, "{record}");
     assert!(plain != lowered);
     assert!(of("again", &["--antialias"]).0 == lowered);
-    // A list of golden images has it too.
+    // A list of golden images supports it too.
     let list = scratch.path("renders.toml");
     let recorded = |more: &str| {
         let text = format!("[[render]]\nname = 'a'\nscene = 'scene.ply'\nsize = '60x40'\n{more}");

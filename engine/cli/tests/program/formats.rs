@@ -11,7 +11,7 @@ use streamsplat_kernels::Level;
 use crate::still::still;
 use crate::support::{Scratch, command, fails, json};
 
-/// The scene as a file of a format.
+/// Writes the scene as a file of a format.
 fn written(format: &Format) -> Vec<u8> {
     let workers = Workers::new(Level::scalar(), 1).expect("one thread");
     (format.still)(&Drawable::new(still(), &workers).expect("even arrays"), &Options::default()).bytes
@@ -22,7 +22,7 @@ fn replaced(file: &[u8], from: &str, to: &str) -> Vec<u8> {
     [&file[..at], to.as_bytes(), &file[at + from.len()..]].concat()
 }
 
-/// Another byte at a place.
+/// Returns the file with another byte at an offset.
 fn changed(file: &[u8], at: usize, value: u8) -> Vec<u8> {
     let mut file = file.to_vec();
     file[at] = value;
@@ -33,7 +33,7 @@ fn shorter(file: &[u8], by: usize) -> Vec<u8> {
     file[..file.len() - by].to_vec()
 }
 
-/// The meta.json of a SOG scene without harmonics.
+/// Returns the meta.json of a SOG scene without harmonics.
 fn meta(version: u32, count: u64, means: &str) -> Vec<u8> {
     let codebook = vec!["0"; 256].join(",");
     format!(
@@ -44,7 +44,7 @@ fn meta(version: u32, count: u64, means: &str) -> Vec<u8> {
     .into_bytes()
 }
 
-/// Files that are no scenes of a format: their names, their bytes, and how the message begins behind the name.
+/// Returns files that are no scenes of a format: their names, their bytes, and the start of the message after the name.
 fn hostile(format: &Format) -> Vec<(&'static str, Vec<u8>, &'static str)> {
     let good = written(format);
     let newest = export::written::spz(&still(), SpzVersion::V4).bytes;
@@ -106,7 +106,7 @@ fn hostile(format: &Format) -> Vec<(&'static str, Vec<u8>, &'static str)> {
     }
 }
 
-/// A `.ksplat` file of 16-bit numbers: two Gaussians in one bucket.
+/// Builds a `.ksplat` file of 16-bit numbers: two Gaussians in one bucket.
 fn ksplat() -> Vec<u8> {
     let mut bytes = vec![0; 4096 + 1024];
     let mut put = |at: usize, value: &[u8]| bytes[at..at + value.len()].copy_from_slice(value);
@@ -128,7 +128,7 @@ fn ksplat() -> Vec<u8> {
     bytes
 }
 
-/// The index of a streamed SOG scene of one chunk.
+/// Returns the index of a streamed SOG scene of one chunk.
 fn lod(version: u32, file: &str, count: usize) -> Vec<u8> {
     format!(
         r#"{{"version": {version}, "lodLevels": 1, "counts": [{count}], "filenames": ["{file}"],
@@ -137,7 +137,7 @@ fn lod(version: u32, file: &str, count: usize) -> Vec<u8> {
     .into_bytes()
 }
 
-/// As [`hostile`], of a format that is only read.
+/// Returns files as [`hostile`] does, for a format that is only read.
 fn hostile_read_only(name: &str) -> Vec<(&'static str, Vec<u8>, &'static str)> {
     let good = ksplat();
     match name {
@@ -254,7 +254,7 @@ fn a_streamed_sog_scene_is_the_union_of_its_chunks_also_by_its_folder() {
         let expected = [&whole.mean[..], &whole.mean[497..], &whole.mean[..]].concat();
         assert!(found.mean == expected && found.higher[500 * 45..503 * 45] == whole.higher[497 * 45..]);
     }
-    // A level that is there, one that is not, and a file that has none.
+    // An existing level, a missing one, and a file without levels.
     let two = index.replace(r#""lodLevels": 1, "counts": [503]"#, r#""lodLevels": 2, "counts": [503, 4]"#);
     let two = two.replace(
         r#"{"lods": {"0": {"file": 1,"#,
@@ -302,7 +302,7 @@ fn a_file_of_spacetime_gaussians_is_drawn_at_each_time() {
     let at = |name: &str| streamsplat::import::ply(&std::fs::read(out.join(name)).expect("a file")).expect("a scene");
     assert_eq!((at("000000.ply").mean[0], at("000001.ply").mean[0]), ([0.0; 3], [1.0, 0.0, 0.0]));
     assert!(at("000001.ply").logit[0] < at("000000.ply").logit[0]);
-    // A render of the file at a time is that of the still scene of the time.
+    // A render of the file at a time equals that of the still scene of the time.
     let camera = scratch.path("camera.json");
     std::fs::write(&camera, r#"{"type": "pinhole", "position": [0, 0, -4], "fov_y_degrees": 45, "aspect": 1.5}"#)
         .expect("writable");

@@ -1,4 +1,4 @@
-//! `golden`: recorded once, checked with zero tolerance.
+//! `golden`: images recorded once are checked with zero tolerance.
 
 use std::path::{Path, PathBuf};
 use std::process::Output;
@@ -79,19 +79,19 @@ fn one_bit_of_one_colour_is_found() {
     let list = recorded(&scratch);
     let before = json(&scratch.path("list.golden/record.json"));
     let mut changed = still();
-    // The largest opaque one in front of the others is seen for sure.
+    // The largest opaque Gaussian in front of the others is certain to be visible.
     let seen = |i: &usize| changed.logit[*i] > 2.0;
     let one = (0..changed.len()).filter(seen).min_by(|a, b| changed.mean[*a][2].total_cmp(&changed.mean[*b][2]));
     let one = one.expect("an opaque one");
     let scene = scratch.path("scene.ply");
-    // The last bit is rounded away before anything is blended: the scene's digest tells.
+    // The last bit is rounded away before blending, but the scene's digest differs.
     let original = changed.base[one][0].to_bits();
     changed.base[one][0] = f32::from_bits(original ^ 1);
     std::fs::write(&scene, export::still::ply(&changed)).expect("writable");
     let output = golden("check", &list, &["--isa", "scalar"]);
     fails(&output, 1);
     assert!(String::from_utf8_lossy(&output.stdout).contains("the scene changed"));
-    // Another bit is in the images, and far below what 8 bits show.
+    // Another bit changes the images, far below the precision of 8 bits.
     changed.base[one][0] = f32::from_bits(original ^ (1 << 12));
     std::fs::write(&scene, export::still::ply(&changed)).expect("writable");
     let (junit, found) = (scratch.path("junit.xml"), scratch.path("found.json"));
@@ -190,12 +190,12 @@ fn nothing_is_written_through_a_link() {
     std::os::unix::fs::symlink(&elsewhere, scratch.path("list.failed")).expect("writable");
     fails(&golden("check", &list, &[]), 1);
     assert_eq!(std::fs::read_dir(&elsewhere).expect("there").count(), 0);
-    // A folder that the user names may be one.
+    // A folder that the user names may be a link.
     fails(&golden("check", &list, &["--out", scratch.path("list.failed").to_str().expect("UTF-8")]), 1);
     assert!(elsewhere.join("front-000000.actual.png").is_file());
 }
 
-/// The scene with every colour another.
+/// Returns the scene with every colour changed.
 #[cfg(unix)]
 fn changed() -> streamsplat::still::Still {
     let mut changed = still();

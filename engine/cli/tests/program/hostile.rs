@@ -1,4 +1,4 @@
-//! Small files that promise much: refused with a line that says so, in little memory.
+//! Small files that declare much content: the error is one line with the reason, in little memory.
 
 use std::ffi::OsStr;
 use std::io::{Cursor, Write};
@@ -7,10 +7,10 @@ use std::process::{Command, Output, Stdio};
 
 use crate::support::{Scratch, command, fails, model, run_ok};
 
-/// Address space of the program, in KiB: what it takes to start, and far less than what the files promise.
+/// Address space of the program, in KiB: enough to start, and far less than the files declare.
 const ADDRESS_SPACE: u32 = 768 << 10;
 
-/// Runs the program with a limit on its address space: memory taken beyond it ends the process.
+/// Runs the program with a limit on its address space: memory beyond it ends the process.
 fn confined<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> Output {
     Command::new("sh")
         .arg("-c")
@@ -27,7 +27,7 @@ pub(crate) fn write(path: PathBuf, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// A file of this length that takes no room on the disk.
+/// Creates a sparse file of this length.
 fn sparse(path: PathBuf, length: u64) -> PathBuf {
     std::fs::File::create(&path).and_then(|file| file.set_len(length)).expect("writable");
     path
@@ -89,7 +89,7 @@ fn splats_of_an_enormous_image_are_refused() {
     assert!(text.contains("found 65536×65536"), "{text}");
 }
 
-/// The start of a PNG that promises `side` × `side` pixels of 16-bit colour and alpha; its checksum is right.
+/// Builds the start of a PNG that declares `side` × `side` pixels of 16-bit colour and alpha, with a valid checksum.
 fn png(side: u32) -> Vec<u8> {
     let mut file = Cursor::new(Vec::new());
     image::DynamicImage::ImageRgba16(image::ImageBuffer::new(3, 3))
@@ -105,7 +105,7 @@ fn png(side: u32) -> Vec<u8> {
     bytes
 }
 
-/// An EXR of one pixel, made to promise more in its data window.
+/// Builds an EXR of one pixel that declares a larger data window.
 fn exr(channels: usize, side: i32) -> Vec<u8> {
     let names = (0..channels).map(|i| (format!("c{i:05}"), vec![0.5])).collect();
     let planes = streamsplat::openexr::Planes { width: 1, height: 1, channels: names };
@@ -207,7 +207,7 @@ fn a_spoilt_record_of_a_run_is_an_error_in_one_line() {
         confined([OsStr::new("verify"), out.as_os_str()])
     };
     let at = |what: &str| good.windows(what.len()).position(|w| w == what.as_bytes()).expect("there");
-    // Cut, or with a byte that is none of JSON's in a place that matters.
+    // Truncated, or with an invalid byte in a critical position.
     for end in [0, 1, at("\"input\""), good.len() / 2, good.len() - 3] {
         fails(&verify(&good[..end]), 1);
     }
@@ -221,7 +221,7 @@ fn a_spoilt_record_of_a_run_is_an_error_in_one_line() {
     fails(&verify("{\"a\":".repeat(100_000).as_bytes()), 1);
 }
 
-/// As [`confined`], and the most that was resident at any time, in KiB.
+/// Runs the program as [`confined`] does, and returns the maximum resident memory in KiB, too.
 #[cfg(target_os = "linux")]
 pub(crate) fn measured<I: AsRef<OsStr>>(arguments: impl IntoIterator<Item = I>) -> (Output, u64) {
     let mut child = Command::new("sh");
@@ -264,7 +264,7 @@ fn what_would_fill_the_memory_is_refused_in_little_memory() {
         let words = words(scene, more);
         refused(&words.iter().map(AsRef::as_ref).collect::<Vec<_>>(), 1, expected);
     };
-    // 30 kB that stand for 1.5 million Gaussians.
+    // 30 kB that unpack to 1.5 million Gaussians.
     let mut spz = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
     let count = 1_500_000_u32;
     let head =
@@ -274,7 +274,7 @@ fn what_would_fill_the_memory_is_refused_in_little_memory() {
     assert!(bytes.len() < 32_000, "{}", bytes.len());
     let file = write(scratch.path("bomb.spz"), &bytes);
     check(&file, &[], "points: expected at most");
-    // More than is read where nothing else is said, and an option that says so.
+    // More than is read by default, and the option that raises the limit.
     let ply = |count: u64| {
         let names = [
             "x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1",

@@ -6,14 +6,14 @@ use streamsplat_fixtures as fixtures;
 
 use crate::support::{Scratch, command, fails, model};
 
-/// `run` with the small model.
+/// Runs `run` with the small model.
 fn attempt(input: &Path, out: &Path, more: &[&str]) -> std::process::Output {
     let mut command = command();
     command.arg("run").arg(input).arg("--out").arg(out).arg("--model").arg(model()).args(more);
     command.output().expect("the program starts")
 }
 
-/// An NPY file of 2×2 numbers.
+/// Builds an NPY file of 2×2 numbers.
 fn npy(value: f32) -> Vec<u8> {
     let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 2), }\n";
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
@@ -38,7 +38,7 @@ fn another_number_of_depth_maps_than_of_frames_is_refused_before_any_work() {
     let text = fails(&of(&[]), 1);
     assert!(text.contains("depth maps, one for each frame, found 6"), "{text}");
     assert!(!out.join("run.json").exists());
-    // Previews of the same names are no maps.
+    // Previews with the same names are not maps.
     for index in 0..6 {
         if index > 2 {
             std::fs::remove_file(maps.join(format!("{index}.npy"))).expect("there");

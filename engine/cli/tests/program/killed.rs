@@ -1,7 +1,8 @@
-//! Killed at any moment, or out of room: what is there is whole, and `--resume` ends with the same bytes.
+//! Runs that are killed at any moment, or out of disk space: existing files are whole, and `--resume` ends with the
+//! same bytes.
 //!
 //! `STREAMSPLAT_KILLS=50 STREAMSPLAT_SEED=7 cargo test --release -p streamsplat-cli --test program killed --
-//! --nocapture` kills oftener, at other moments.
+//! --nocapture` kills more often, at other moments.
 
 use std::io::Read;
 use std::path::Path;
@@ -35,8 +36,8 @@ fn run(input: &Path, out: &Path) -> Command {
     command
 }
 
-/// Checks what a kill must leave: every interval of the index whole, every file under its own name readable. Gives
-/// their numbers.
+/// Checks the state after a kill: every interval of the index is whole, and every file under its own name is readable.
+/// Returns their numbers.
 fn check(out: &Path) -> (usize, usize) {
     let mut intervals = 0;
     if out.join("scene/scene.json").exists() {
@@ -69,7 +70,7 @@ fn assert_same(out: &Path, whole: &Path) {
     assert_eq!(record(&record_of(out)), record(&record_of(whole)));
 }
 
-/// The record of a run to a folder or a y4m file.
+/// Returns the record of a run to a folder or a y4m file.
 fn record_of(out: &Path) -> std::path::PathBuf {
     if out.extension().is_some() { out.with_extension("y4m.run.json") } else { out.join("run.json") }
 }
@@ -81,7 +82,7 @@ fn killed_at_random_moments_it_ends_with_the_same_bytes() {
 
 #[test]
 fn killed_with_the_default_options_it_ends_with_the_same_bytes() {
-    // Which frames become key frames depends on what was found before (`--gap auto`).
+    // The choice of key frames depends on earlier frames (`--gap auto`).
     let moving = fixtures::path("clips/moving.y4m");
     endure(&moving, "out", &["--quiet"], 4);
     endure(&moving, "out.y4m", &["--quiet"], 4);
@@ -93,8 +94,8 @@ fn killed_with_a_folder_of_images_as_its_input_it_ends_with_the_same_bytes() {
     endure(&scratch.clip("clip", 12, 40, 24), "out", &["--emit", "rgb,scene,exr,tracks", "--quiet"], 4);
 }
 
-/// Kills runs of `input` to a place of this name, and resumed ones, the given number of times; the last one runs to its
-/// end.
+/// Kills runs of `input` to an output of this name, and resumed ones, the given number of times; the last one runs to
+/// its end.
 fn endure(input: &Path, name: &str, options: &[&str], kills: u64) {
     let kills = number("STREAMSPLAT_KILLS", kills);
     let mut seed = number("STREAMSPLAT_SEED", 1);
@@ -106,7 +107,7 @@ fn endure(input: &Path, name: &str, options: &[&str], kills: u64) {
     let length = start.elapsed();
     let (mut killed, mut ends) = (0, 0);
     while killed < kills {
-        // Runs and resumed runs are killed alike, early more often than late, so that some are killed again and again.
+        // Runs and resumed runs are killed alike, early more often than late, so that some are killed repeatedly.
         let part = (random(&mut seed) % 1000) as f64 / 1000.0;
         let moment = length.mul_f64(0.9 * part * part + 0.02);
         let mut child = run(input, &out).args(options).arg("--resume").spawn().expect("the program starts");
@@ -141,7 +142,7 @@ fn endure(input: &Path, name: &str, options: &[&str], kills: u64) {
     println!("{killed} kills, {} complete runs with the same bytes", ends + 1);
 }
 
-/// The program under a limit of `kilobytes` on each file it writes, as on a disk that is full.
+/// Runs the program with a limit of `kilobytes` on each file that it writes, as on a full disk.
 fn limited(out: &Path, kilobytes: u32) -> Command {
     let mut shell = Command::new("bash");
     shell.args(["-c", &format!("trap '' XFSZ; ulimit -f {kilobytes}; exec \"$@\""), "bash"]);
@@ -153,7 +154,7 @@ fn limited(out: &Path, kilobytes: u32) -> Command {
 #[test]
 fn out_of_room_it_says_so_and_what_was_written_stays_valid() {
     let scratch = Scratch::new();
-    // A first interval has 960 Gaussians, the next ones twice as many: 90 kB fit, 180 kB do not.
+    // The first interval has 960 Gaussians, the next ones twice as many: 90 kB fit, 180 kB do not.
     let (out, whole) = (scratch.path("out"), scratch.path("whole"));
     let text = fails(&limited(&out, 150).output().expect("a shell"), 1);
     assert!(text.contains("interval-000001.safetensors: cannot write: File too large"), "{text}");
@@ -172,7 +173,7 @@ fn out_of_room_it_says_so_and_what_was_written_stays_valid() {
     // 24 frames of 10,806 bytes.
     let (out, whole) = (scratch.path("out.y4m"), scratch.path("whole.y4m"));
     let text = fails(&limited(&out, 150).output().expect("a shell"), 1);
-    // The video or what is kept to go on from: whichever grows beyond the limit first.
+    // The video or the resume state, whichever exceeds the limit first.
     assert!(text.contains("cannot write: File too large"), "{text}");
     assert!(!out.exists(), "it has no name before it is whole");
     let output = run(&fixtures::path("clips/moving.y4m"), &out)

@@ -1,4 +1,4 @@
-//! The `streamsplat` program as a user runs it: results, exit codes, messages.
+//! Tests of the `streamsplat` program from the outside: results, exit codes, messages.
 
 mod cameras;
 mod compare;

@@ -27,12 +27,12 @@ fn render_ok(scene: &Path, out: &Path, more: &[&str]) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// The pixels of a file of any kind.
+/// Decodes the pixels of a file of any kind.
 fn pixels(path: &Path) -> image::RgbaImage {
     image::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display())).into_rgba8()
 }
 
-/// How many samples of two pictures differ, and by how much at most.
+/// Returns how many samples of two pictures differ, and the largest difference.
 fn apart(a: &image::RgbaImage, b: &image::RgbaImage) -> (usize, u8) {
     assert_eq!(a.dimensions(), b.dimensions());
     let steps = a.as_raw().iter().zip(b.as_raw()).map(|(a, b)| a.abs_diff(*b));
@@ -65,7 +65,7 @@ fn each_option_changes_the_picture_and_no_byte_depends_on_threads_or_level() {
         render_ok(&scene, &path("same"), &[&seen[..], same].concat());
         assert!(std::fs::read(path("same")).expect("readable") == std::fs::read(path("plain")).expect("readable"));
     }
-    // A folder remembers them.
+    // The record of a folder contains them.
     let out = scratch.path("folder");
     render_ok(
         &scene,
@@ -76,7 +76,7 @@ fn each_option_changes_the_picture_and_no_byte_depends_on_threads_or_level() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// A grid of N×N Gaussians as splat-transform's tests draw it (fixtures/splat-transform/README.md), as a PLY file.
+/// Builds a grid of N×N Gaussians as in splat-transform's tests (fixtures/splat-transform/README.md), as a PLY file.
 fn grid(side: usize, spacing: f64, deviation: f64) -> Vec<u8> {
     let names = "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
     let properties: String = names.split(' ').map(|name| format!("property float {name}\n")).collect();
@@ -112,7 +112,7 @@ fn golden_pictures_of_splat_transform_come_out_with_its_footprint() {
         let seen = ["--camera", camera.to_str().expect("a name"), "--size", &size, "--background", "0"];
         render_ok(&scene, &out, &[&seen[..], &["--footprint", "splat-transform"]].concat());
         let (differ, most) = apart(&golden, &pixels(&out));
-        // Nothing but rounding to 8 bits.
+        // They differ only by rounding to 8 bits.
         assert!(most <= 1 && differ < golden.as_raw().len() / 1000, "{name}: {differ} samples, at most {most} apart");
         render_ok(&scene, &out, &seen);
         assert!(apart(&golden, &pixels(&out)).1 >= 5, "{name}: the plain footprint is another");
@@ -128,13 +128,13 @@ fn a_panorama_is_taken_from_the_middle_and_a_camera_file_can_ask_for_one() {
     let image = pixels(&out);
     assert_eq!(image.dimensions(), (2048, 1024));
     assert_eq!(json(&scratch.path("run.json"))["image_size"], serde_json::json!([2048, 1024]));
-    // No seam: the edges are as alike as neighbours elsewhere.
+    // No seam: the edges differ no more than neighbours elsewhere.
     let column = |x: u32| (0..1024).map(|y| image.get_pixel(x, y).0).collect::<Vec<_>>();
     let differ = |a: u32, b: u32| -> u64 {
         column(a).iter().flatten().zip(column(b).iter().flatten()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum()
     };
     assert!(differ(2047, 0) < 2 * differ(1000, 1001).max(differ(1500, 1501)) + 2000, "{}", differ(2047, 0));
-    // All around a pole there is one colour.
+    // Around a pole the colour is constant.
     let top: Vec<[u8; 4]> = (0..2048).map(|x| image.get_pixel(x, 0).0).collect();
     for channel in 0..3 {
         let values = || top.iter().map(|pixel| pixel[channel]);
@@ -182,7 +182,7 @@ fn what_cannot_be_drawn_so_is_wrong_use() {
     assert!(line.contains("aperture: expected a pinhole camera"), "{line}");
     let line = fails(&render(&scene, &out, &["--camera", around, "--size", "32x16", "--stereo"]), 2);
     assert!(line.contains("--stereo"), "{line}");
-    // The scene's middle is behind.
+    // The scene's middle is behind the camera.
     let behind = scratch.path("behind.json");
     let view =
         r#"{"type": "pinhole", "position": [0, 0, 9], "look_at": [0, 0, 10], "fov_y_degrees": 45, "aspect": 1.5}"#;
@@ -222,7 +222,7 @@ fn a_still_is_written_as_webp_without_loss() {
     assert!(line.contains("expected at most 16383 a side for WebP"), "{line}");
 }
 
-/// A scene in time.
+/// Runs a clip and returns its scene.
 fn moving(scratch: &Scratch) -> PathBuf {
     let (clip, out) = (scratch.clip("clip", 4, 80, 48), scratch.path("run"));
     run_ok(&clip, &out, &["--emit", "scene", "--fps", "8"]);
@@ -266,7 +266,7 @@ fn a_shutter_is_the_mean_of_its_images_across_intervals_as_well() {
         let expected = picture_png(&Picture { width, height, rgb });
         assert!(found[&format!("frames/{index:06}.png")] == expected, "{time}");
     }
-    // A camera that moves around one instant, and one that moves while time runs on.
+    // A camera that moves around one time, and one that moves while time runs on.
     for motion in [&["--times", "0.125", "--sway=6:0.5"][..], &["--orbit", "20"]] {
         let sharp = folder("sharp", motion);
         let blurred = folder("blurred", &[motion, &["--shutter", "360", "--shutter-samples", "3"]].concat());
@@ -278,7 +278,7 @@ fn a_shutter_is_the_mean_of_its_images_across_intervals_as_well() {
     assert!(line.contains("--panorama: expected a place (--camera)"), "{line}");
     let line = fails(&render(&scene, &scratch.path("no"), &["--f-stop", "2", "--focus", "1"]), 1);
     assert!(line.contains("aperture: expected a pinhole camera"), "{line}");
-    // Scenes in time have panoramas and depth of field where a camera has a place.
+    // Scenes in time have panoramas and depth of field if a camera has a position.
     let camera = scratch.path("inside.json");
     let view =
         r#"{"type": "pinhole", "position": [0, 0, -1], "look_at": [0, 0, 1], "fov_y_degrees": 60, "aspect": 1.6}"#;
@@ -306,7 +306,7 @@ fn a_shutter_blurs_what_a_moving_camera_sees_of_a_still_scene() {
     assert_eq!(sharp.len(), 4);
     assert!(blurred.iter().zip(&sharp).all(|((_, a), (_, b))| a != b));
     assert!(folder("closed", &["--shutter", "0"]) == sharp);
-    // One sample is in the middle: the image itself, to a rounding of its light.
+    // A single sample is in the middle: the image itself, up to a rounding of its light.
     folder("one", &["--shutter", "360", "--shutter-samples", "1"]);
     let one = |name: &str| pixels(&scratch.path(name).join("frames/000002.png"));
     assert!(apart(&one("one"), &one("sharp")).1 <= 1);

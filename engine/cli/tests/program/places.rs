@@ -1,4 +1,4 @@
-//! Places that are in use, hostile or damaged.
+//! Output places that are in use, hostile or damaged.
 
 use std::io::Write as _;
 use std::os::unix::fs::symlink;
@@ -21,7 +21,7 @@ fn resume(input: &Path, out: &Path) -> Output {
     run(input, out, &["--resume"]).output().expect("the program starts")
 }
 
-/// A run that waits for the rest of its input, with its place held.
+/// Starts a run that waits for the rest of its input, with its place locked.
 fn waiting(out: &Path, lock: &Path) -> Child {
     let stream = std::fs::read(fixtures::path("clips/moving.y4m")).expect("readable");
     let mut child = run(Path::new("-"), out, &[]).stdin(Stdio::piped()).spawn().expect("the program starts");
@@ -40,7 +40,7 @@ fn finished_results_of_another_run_are_replaced_only_when_asked() {
     let (clip, other) = (scratch.clip("clip", 3, 40, 24), scratch.clip("other", 2, 40, 24));
     for out in [scratch.path("out"), scratch.path("out.y4m")] {
         run_ok(&clip, &out, &["--quiet"]);
-        // The same again is what it was.
+        // Running again leaves it unchanged.
         run_ok(&clip, &out, &["--quiet"]);
         let record = std::fs::read(record_of(&out)).expect("readable");
         for (input, options) in [(&other, &[][..]), (&clip, &["--gap", "2"][..])] {
@@ -53,7 +53,7 @@ fn finished_results_of_another_run_are_replaced_only_when_asked() {
     }
 }
 
-/// The record of a run to `out`.
+/// Returns the record of a run to `out`.
 fn record_of(out: &Path) -> std::path::PathBuf {
     if out.is_dir() { out.join("run.json") } else { out.with_extension("y4m.run.json") }
 }
@@ -86,7 +86,7 @@ fn a_second_run_into_the_same_place_is_refused() {
         }
         first.kill().expect("a child");
         first.wait().expect("it ends");
-        // What it left is no obstacle.
+        // The file that it left is no obstacle.
         assert!(scratch.path(lock).exists());
         run_ok(&clip, &out, &["--quiet"]);
         assert!(!scratch.path(lock).exists());
@@ -101,7 +101,7 @@ fn nothing_is_removed_or_written_through_links() {
     run_ok(&clip, &other, &["--quiet"]);
     let before = files(&other);
     for name in ["frames", "scene", "resume"] {
-        // The record names files that lie beyond the link, with their lengths and digests.
+        // The record names files behind the link, with their lengths and digests.
         let out = scratch.path(&format!("out-{name}"));
         std::fs::create_dir(&out).expect("writable");
         std::fs::copy(other.join("run.json"), out.join("run.json")).expect("writable");
@@ -180,7 +180,7 @@ fn damage_takes_a_stopped_run_back_but_never_ends_it() {
         assert!(files(&out) == files(&whole), "{damaged}");
         assert_eq!(json(&out.join("run.json"))["outputs"], json(&whole.join("run.json"))["outputs"]);
     }
-    // A complete run whose record was emptied starts again.
+    // A complete run with an emptied record starts again.
     let expected = files(&whole);
     std::fs::write(whole.join("run.json"), "").expect("writable");
     let output = resume(&clip, &whole);

@@ -167,7 +167,7 @@ fn the_camera_path_of_the_fixtures_moves_through_a_scene() {
         assert!(red.iter().any(|v| (v - 0.5).abs() > 0.05), "only background is seen");
     }
     assert!(pictures.windows(2).all(|pair| pair[0] != pair[1]), "the camera stands still");
-    // The last view holds after its time.
+    // The last view is used after its time.
     assert_eq!(render("held", "0.2,0.25").len(), 2);
 }
 
@@ -183,7 +183,7 @@ fn y4m_flows_from_standard_input_to_standard_output() {
         .output()
         .expect("the program starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    // A video has the source's size, whatever the model's.
+    // A video has the source's size, whatever the model's is.
     assert!(output.stdout.starts_with(b"YUV4MPEG2 W256 H144 F24:1 "), "{:?}", &output.stdout[..40]);
     assert_eq!(
         output.stdout.len() - output.stdout.iter().position(|&c| c == b'\n').expect("a header") - 1,
@@ -257,7 +257,7 @@ fn evaluation_reports_key_and_middle_frames_and_baselines() {
     for row in [&clips[0], &clips[1], &figures["mean"]] {
         assert_eq!(row["gap"], 3);
         assert_eq!(row["fusion"]["persistent"]["middle"], row["middle"]);
-        // Crossing a key frame changes no bit; pairs alone change with the frame they were made for.
+        // Images do not jump at key frames; only pairs change with the frame they were made for.
         assert_eq!(row["fusion"]["persistent"]["pop"]["ratio"], 0.0);
         let pairs = &pairwise["mean"]["fusion"]["pairwise"]["pop"];
         let [jump, step, ratio] = ["jump", "step", "ratio"].map(|name| pairs[name].as_f64().expect("a number"));
@@ -276,13 +276,13 @@ fn evaluation_reports_key_and_middle_frames_and_baselines() {
     assert_eq!(figures["seen"], false);
     let groups = ["moving", "still"].map(|group| figures["mean"][group]["clips"].as_u64().expect("a count"));
     assert_eq!(groups.iter().sum::<u64>(), 2);
-    // What is printed names what the groups are told apart by.
+    // The output names the properties that distinguish the groups.
     let output =
         command().arg("eval").arg(scratch.path("clips/b2")).args(["--gap", "3", "--model"]).arg(model()).output();
     let said = String::from_utf8_lossy(&output.expect("the program starts").stdout).into_owned();
     let last = said.lines().last().unwrap_or_default();
     assert!(last.starts_with("1 clip with a cross-fade ") && last.contains(" 26 dB: middle "), "{said}");
-    // What stands still is the same in both key frames: the baselines know most of the picture.
+    // Parts at rest are equal in both key frames: the baselines predict most of the picture.
     assert!(clips[0]["baselines"]["crossfade"]["psnr"].as_f64().expect("dB") > 15.0);
 }
 
@@ -302,7 +302,7 @@ fn evaluation_reads_what_lies_between_key_frames_only_where_it_is_seen() {
     let (blind, seen) = (evaluate(&clip, &[]), evaluate(&clip, &["--seen"]));
     let psnr = |mean: &serde_json::Value| mean["middle"]["psnr"].as_f64().expect("dB");
     assert!(psnr(&seen) > psnr(&blind), "{seen} {blind}");
-    // Other pictures in between: the same scene, as the key frames and what is drawn there tell, compared with others.
+    // Other pictures in between: the scene and its images of key frames are unchanged, but the comparison differs.
     for (index, path) in images(&clip).iter().enumerate() {
         if index % 3 != 0 {
             image::RgbImage::from_pixel(80, 48, image::Rgb([250, 3, 60])).save(path).expect("writable");
@@ -315,7 +315,7 @@ fn evaluation_reads_what_lies_between_key_frames_only_where_it_is_seen() {
     assert!(psnr(&poisoned) < psnr(&blind) - 3.0);
 }
 
-/// The images of a folder, in order.
+/// Returns the images of a folder, in order.
 fn images(folder: &Path) -> Vec<std::path::PathBuf> {
     let mut images: Vec<_> = std::fs::read_dir(folder).expect("readable").flatten().map(|entry| entry.path()).collect();
     images.sort();
@@ -493,7 +493,7 @@ fn the_authors_way_is_the_options_that_it_stands_for() {
     let depth = scratch.path("depth");
     std::fs::create_dir(&depth).expect("writable");
     for frame in 0..8u32 {
-        // The largest value of all is in a map that is no key frame's.
+        // The largest value of all is in a map of a frame that is no key frame.
         let nearest = if frame == 4 { 60_000 } else { 20_000 + 1000 * frame };
         let map = image::ImageBuffer::<image::Luma<u16>, _>::from_fn(40, 24, |x, y| {
             image::Luma([if (x, y) == (7, 7) { nearest as u16 } else { (300 * x + 200 * y) as u16 }])
@@ -511,12 +511,12 @@ fn the_authors_way_is_the_options_that_it_stands_for() {
     let (theirs, recorded) = with("theirs", &[&maps[..], &["--like-paper"]].concat());
     let (spelled, options) = with("spelled", &[&maps[..], &["--depth-range", "keys"], &way].concat());
     assert!(theirs == spelled);
-    // The record has every option, and the name.
+    // The record contains every option, and the name.
     let mut named = options.clone();
     named["stream"]["like_paper"] = true.into();
     assert_eq!(recorded, named);
     assert_eq!((&options["stream"]["depth_range"], &options["fit"]), (&"keys".into(), &"stretch".into()));
-    // Each of these would change it.
+    // Each of these options would change it.
     let (plain, _) = with("plain", &maps);
     let (clips, _) = with("clips", &[&maps[..], &["--like-paper", "--depth-range", "clip"]].concat());
     let (flat, _) = with("flat", &["--like-paper"]);
@@ -553,7 +553,7 @@ fn a_reader_that_goes_away_is_no_panic() {
 
 #[test]
 fn closeness_does_not_depend_on_what_is_written() {
-    // Images of the model's own size are drawn once, for the file and for the comparison.
+    // Images of the model's own size are drawn once, for both the file and the comparison.
     let scratch = Scratch::new();
     let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/clips/moving.y4m");
     let found: Vec<_> = ["rgb", "scene", "rgb,depth"]
@@ -616,7 +616,7 @@ fn closeness_at_the_sources_size_is_that_of_the_images_written() {
         let measured = (sum("key") + sum("middle")) / 9.0;
         assert!((measured - of_run).abs() < 1e-6, "{name}: {measured} dB, {of_run} by run");
     }
-    // Images of another size are not compared with the frames as they are.
+    // Images of another size are not compared with the frames directly.
     let other = scratch.path("other");
     run_ok(&clip, &other, &["--size", "48x32", "--gap", "auto:2-4:30", "--quiet"]);
     assert!(json(&other.join("run.json")).get("psnr_source_size").is_none());

@@ -1,4 +1,4 @@
-//! A run that was stopped goes on with `--resume`, to the bytes of one that was not.
+//! An interrupted run that is resumed with `--resume` ends with the bytes of an uninterrupted one.
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use streamsplat_fixtures as fixtures;
 
 use crate::support::{Scratch, command, fails, files, json, model, record, run_ok};
 
-/// `run INPUT --out OUT --model (the small one) MORE…`.
+/// Returns the command `run INPUT --out OUT --model (the small one) MORE…`.
 fn run(input: &Path, out: &Path, more: &[&str]) -> Command {
     let mut command = command();
     command.arg("run").arg(input).arg("--out").arg(out).arg("--model").arg(model()).args(more);
@@ -26,7 +26,7 @@ fn succeeds(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-/// Every file, hidden ones too, and the record.
+/// Asserts that every file, including hidden ones, and the record are the same.
 fn assert_same(found: &Path, expected: &Path) {
     let (a, b) = (files(found), files(expected));
     assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
@@ -52,7 +52,7 @@ fn stop_when(mut command: Command, signal: &str, ready: impl Fn() -> bool) -> Ou
     child.wait_with_output().expect("it ends")
 }
 
-/// A clip long enough to be stopped in the middle.
+/// Returns a clip long enough to be stopped in the middle.
 fn clip() -> PathBuf {
     fixtures::path("clips/moving.y4m")
 }
@@ -73,7 +73,7 @@ fn ctrl_c_finishes_the_interval_and_what_it_leaves_is_gone_on_with() {
     let scene = streamsplat::scene::Scene::open(&out).expect("a valid scene");
     let intervals = scene.index().intervals.len();
     assert!((4..13).contains(&intervals), "{intervals} intervals");
-    // Every frame of every interval is there, and nothing more.
+    // There is every frame of every interval, and no other.
     let frames = files(&out).keys().filter(|name| name.starts_with("frames/")).count();
     assert_eq!(frames, 2 * intervals - 1);
     let verified = command().arg("verify").arg(&out).output().expect("the program starts");
@@ -81,7 +81,7 @@ fn ctrl_c_finishes_the_interval_and_what_it_leaves_is_gone_on_with() {
 
     succeeds(&resume(&clip(), &out, &EVERYTHING));
     assert_same(&out, &whole);
-    // Nothing of it was written twice.
+    // Nothing was written twice.
     let before = files(&out);
     let said = succeeds(&resume(&clip(), &out, &EVERYTHING[..4]));
     assert!(said.contains("complete already, nothing to resume"), "{said}");
@@ -113,7 +113,7 @@ fn it_goes_on_with_whatever_chooses_its_work() {
         let options = [options, &["--quiet"][..]].concat();
         run_ok(&clip(), &whole, &options);
         let second = out.join("scene/interval-000002.safetensors");
-        // Shown in a browser at first, and then not: the same.
+        // First shown in a browser and then not: the bytes are the same.
         let mut shown = run(&clip(), &out, &options);
         shown.arg("--serve=0");
         stop_when(shown, "KILL", || second.exists());
@@ -179,11 +179,11 @@ fn one_interval_is_enough_and_none_starts_the_run() {
     let clip = scratch.clip("clip", 5, 40, 24);
     let (whole, out) = (scratch.path("whole"), scratch.path("out"));
     run_ok(&clip, &whole, &["--quiet"]);
-    // Nothing there yet.
+    // There are no results yet.
     succeeds(&resume(&clip, &out, &["--quiet"]));
     assert_same(&out, &whole);
     std::fs::remove_dir_all(&out).expect("there");
-    // A fifth frame that cannot be read stops the run after the others; the same frames must be there again.
+    // A fifth frame that cannot be read stops the run after the others; on resuming, the same frames are required.
     let good = std::fs::read(clip.join("1.png")).expect("readable");
     for broken in [1, 4] {
         let frame = clip.join(format!("{broken}.png"));
@@ -246,12 +246,12 @@ fn standard_input_is_read_again_from_its_start() {
             .stderr(Stdio::piped())
             .spawn()
             .expect("the program starts");
-        // A program that refuses the stream closes it.
+        // A program that rejects the stream closes it.
         let _ = child.stdin.take().expect("a pipe").write_all(bytes);
         child.wait_with_output().expect("it ends")
     };
     succeeds(&piped(&whole, &stream, &[]));
-    // A stream that breaks off in the middle of a frame.
+    // A stream that ends inside a frame.
     fails(&piped(&out, &stream[..stream.len() / 2], &[]), 1);
     let mut other = stream.clone();
     let place = other.len() / 10;
@@ -284,7 +284,7 @@ fn what_differs_from_the_stopped_run_is_named() {
     other.arg("run").arg(&clip).arg("--out").arg(&out).args(["--gap", "2", "--resume"]);
     let text = fails(&other.output().expect("the program starts"), 1);
     assert!(text.contains("--resume: the model: recorded") && text.contains("embedded"), "{text}");
-    // Threads and instruction set are free.
+    // The number of threads and the instruction set may change.
     let text = fails(&resume(&clip, &out, &["--gap", "2", "--threads", "3", "--isa", "scalar"]), 1);
     assert!(text.contains("4.png"), "{text}");
     assert!(files(&out) == before, "what was refused changed nothing");
@@ -294,7 +294,7 @@ fn what_differs_from_the_stopped_run_is_named() {
     let text = fails(&resume(&clip, &out, &["--gap", "2"]), 1);
     assert!(text.contains("--resume: the input: recorded 3 frames"), "{text}");
     std::fs::write(clip.join("1.png"), frame).expect("writable");
-    // Damaged files are no obstacle: the run goes on from before them, to the frame that stopped it.
+    // Damaged files are no obstacle: the run resumes before them and continues to the frame that stopped it.
     let image = out.join("frames/000001.png");
     let content = std::fs::read(&image).expect("readable");
     std::fs::write(&image, &content[1..]).expect("writable");
@@ -305,7 +305,7 @@ fn what_differs_from_the_stopped_run_is_named() {
         let text = fails(&resume(&clip, &out, &["--gap", "2"]), 1);
         assert!(text.contains("4.png"), "{text}");
     }
-    // Without --resume the folder is cleared and the run starts.
+    // Without --resume the folder is cleared and the run starts from the beginning.
     std::fs::remove_file(clip.join("4.png")).expect("there");
     run_ok(&clip, &out, &["--quiet"]);
     let fresh = scratch.path("fresh");

@@ -1,4 +1,4 @@
-//! Splat files of other programs: what is read, assumed and left out, and the notes on it.
+//! Splat files of other programs: content that is read, assumed and left out, and the notes on it.
 
 use std::path::Path;
 use std::process::Output;
@@ -9,7 +9,7 @@ use streamsplat::still::Still;
 use crate::still::{prepared, still};
 use crate::support::{Scratch, command, fails, json};
 
-/// Standard error of a command that succeeds.
+/// Returns standard error of a command that succeeds.
 fn said(arguments: &[&str]) -> String {
     let output: Output = command().args(arguments).output().expect("the program starts");
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -27,7 +27,7 @@ fn picture(scene: &Path, camera: &Path, out: &Path, more: &[&str]) -> (Vec<u8>, 
     (std::fs::read(out).expect("an image"), lines)
 }
 
-/// A file of version 4 without a record of its axes, which are RDF.
+/// Writes a file of version 4 without a record of its axes, which are RDF.
 fn silent(still: &Still) -> Vec<u8> {
     let file = export::written::spz(still, SpzVersion::V4).bytes;
     let table = u32::from_le_bytes(file[16..20].try_into().expect("four bytes")) as usize;
@@ -52,7 +52,7 @@ fn axes_that_a_file_does_not_say_are_told_and_can_be_given() {
     assert!(turned != right);
     let (told, lines) = picture(&unsaid, &camera, &out, &["--axes", "rdf"]);
     assert!(told == right && !lines.contains("axes"), "{lines}");
-    // The option is part of the record, and other commands have it.
+    // The option is part of the record, and other commands support it.
     let folder = scratch.path("folder");
     said(&["render", text(&unsaid), "--axes", "rdf", "-o", text(&folder), "--size", "9x6"]);
     assert_eq!(json(&folder.join("run.json"))["options"]["axes"], "rdf");
@@ -142,7 +142,7 @@ fn a_picture_of_nothing_and_what_is_not_drawn_are_told() {
     let packed = scratch.path("b.spz");
     let lines = said(&["export", text(&scene), "-o", text(&packed)]);
     assert!(lines.contains("b.spz: 1 of 500 Gaussians left out: 1 with numbers that are not finite"), "{lines}");
-    // A camera that looks away.
+    // A camera that looks away from the scene.
     std::fs::write(
         &camera,
         r#"{"type": "pinhole", "position": [0, 0, -3], "look_at": [0, 0, -9], "fov_y_degrees": 45, "aspect": 1.5}"#,

@@ -1,4 +1,4 @@
-//! PLY files of 3D Gaussian splatting in, images and other formats out.
+//! PLY files of 3D Gaussian splatting as input, images and other formats as output.
 
 use std::path::{Path, PathBuf};
 
@@ -16,7 +16,7 @@ use crate::support::{Scratch, command, fails, files, json, run};
 const CAMERA: &str =
     r#"{"type": "pinhole", "position": [0.3, -0.2, -3.0], "look_at": [0, 0, 0.5], "fov_y_degrees": 45, "aspect": 1.5}"#;
 
-/// A scene with harmonics of degree 3.
+/// Returns a scene with harmonics of degree 3.
 pub fn still() -> Still {
     let value = |i: usize, k: usize| ((i * 7919 + k * 104_729) % 1009) as f32 / 504.5 - 1.0;
     let count = 500;
@@ -32,7 +32,7 @@ pub fn still() -> Still {
     }
 }
 
-/// The scene as a PLY file, and a camera.
+/// Writes the scene as a PLY file, and a camera.
 pub fn prepared(scratch: &Scratch) -> (PathBuf, PathBuf) {
     let (scene, camera) = (scratch.path("scene.ply"), scratch.path("camera.json"));
     std::fs::write(&scene, export::still::ply(&still())).expect("writable");
@@ -88,7 +88,7 @@ fn images_along_a_path_are_those_drawn_alone() {
     let output = render(&scene, &camera, &out, &[&size[..], &["--times", "0,1,2,3,4,5,6,7"]].concat());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let window = |out: &Path| json(&out.join("run.json"))["work"]["render.window"].clone();
-    // Of 4000.
+    // Out of 4000.
     assert!(window(&out)["avoided"].as_u64().is_some_and(|n| n > 2000), "{}", window(&out));
     let all = files(&out);
     for time in 0..8 {

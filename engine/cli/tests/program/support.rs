@@ -1,11 +1,11 @@
-//! Running the program, and small inputs for it.
+//! Helpers that run the program, and small inputs for it.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 use streamsplat_fixtures as fixtures;
 
-/// A folder that goes away with the test.
+/// A temporary folder that is removed after the test.
 pub struct Scratch(tempfile::TempDir);
 
 impl Scratch {
@@ -17,7 +17,7 @@ impl Scratch {
         self.0.path().join(name)
     }
 
-    /// A folder of `count` small PNG images with something moving in them.
+    /// Creates a folder of `count` small PNG images with a moving object.
     pub fn clip(&self, name: &str, count: u32, width: u32, height: u32) -> PathBuf {
         let folder = self.path(name);
         std::fs::create_dir_all(&folder).expect("writable");
@@ -36,7 +36,7 @@ impl Scratch {
     }
 }
 
-/// A small checkpoint (48×80).
+/// Returns a small checkpoint (48×80).
 pub fn model() -> PathBuf {
     fixtures::path("parity/tiny-nodino.safetensors")
 }
@@ -50,7 +50,7 @@ pub fn run<I: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = I>) ->
     command().args(arguments).stdin(Stdio::null()).output().expect("the program starts")
 }
 
-/// `run INPUT --out OUT --model (the small one) MORE…`, which must succeed.
+/// Runs `run INPUT --out OUT --model (the small one) MORE…`, which must succeed.
 pub fn run_ok(input: &Path, out: &Path, more: &[&str]) {
     let output = command()
         .arg("run")
@@ -65,7 +65,7 @@ pub fn run_ok(input: &Path, out: &Path, more: &[&str]) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// The one line on standard error of a run that must fail with `code`, lines of progress before it aside.
+/// Returns the one line on standard error of a run that must fail with `code`, except lines of progress before it.
 pub fn fails(output: &Output, code: i32) -> String {
     let text = String::from_utf8_lossy(&output.stderr);
     let progress = |line: &&str| line.starts_with(|c: char| c.is_ascii_digit()) && line.ends_with(" s each");
@@ -76,20 +76,20 @@ pub fn fails(output: &Output, code: i32) -> String {
     text
 }
 
-/// A JSON file.
+/// Reads a JSON file.
 pub fn json(path: &Path) -> serde_json::Value {
     let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// A record without what differs from run to run.
+/// Reads a record without the fields that differ between runs.
 pub fn record(path: &Path) -> serde_json::Value {
     let mut record = json(path);
     record.as_object_mut().expect("an object").remove("timing");
     record
 }
 
-/// Every file below a folder but the record and the report, by its path in it, with its bytes.
+/// Returns every file below a folder except the record and the report, by relative path, with its bytes.
 pub fn files(folder: &Path) -> std::collections::BTreeMap<String, Vec<u8>> {
     let mut found = std::collections::BTreeMap::new();
     let mut folders = vec![folder.to_owned()];

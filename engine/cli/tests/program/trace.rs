@@ -1,4 +1,5 @@
-//! `--trace`: trace events as Chrome and Perfetto read them, with a span for every call of every stage and operation.
+//! `--trace`: trace events in the format of Chrome and Perfetto, with a span for every call of every stage and
+//! operation.
 //!
 //! The rules are those of "Trace Event Format" (Chromium): an array of objects; `B` and `E` events that nest on their
 //! thread, with `ts` in microseconds; `M` events that name the threads.
@@ -26,7 +27,7 @@ struct Thread {
     open: Vec<Span>,
 }
 
-/// The spans of a trace, which is checked on the way.
+/// Returns the spans of a trace, after checking its form.
 fn spans(trace: &Path) -> Vec<Span> {
     let events = json(trace);
     let mut threads = BTreeMap::<u64, Thread>::new();
@@ -63,19 +64,19 @@ fn spans(trace: &Path) -> Vec<Span> {
     spans
 }
 
-/// How many spans of this name there are, and their microseconds together.
+/// Returns the number of spans of this name, and their total in microseconds.
 fn sum(spans: &[Span], name: &str) -> (u64, f64) {
     let named = spans.iter().filter(|span| span.name == name);
     named.fold((0, 0.0), |(count, time), span| (count + 1, time + span.end - span.start))
 }
 
-/// The operations among the spans.
+/// Returns the operations among the spans.
 fn operations(spans: &[Span]) -> BTreeSet<String> {
     let of_kernels = spans.iter().filter(|span| span.category.starts_with("streamsplat_kernels"));
     of_kernels.map(|span| span.name.clone()).collect()
 }
 
-/// `streamsplat ARGUMENTS --out OUT --trace TRACE`: the record and the spans.
+/// Runs `streamsplat ARGUMENTS --out OUT --trace TRACE`; returns the record and the spans.
 fn traced(scratch: &Scratch, name: &str, arguments: &[&Path]) -> (serde_json::Value, Vec<Span>) {
     let (out, trace) = (scratch.path(name), scratch.path(&format!("{name}.json")));
     let output = command()
@@ -116,7 +117,7 @@ fn every_call_of_a_stage_has_its_span_and_takes_the_time_that_the_record_tells()
         let (count, microseconds) = sum(&spans, stage);
         assert!(count > 0 && record["work"][stage]["done"].as_u64() == Some(count), "{stage}: {count} spans");
         let seconds = record["timing"]["seconds"][stage].as_f64().unwrap_or_else(|| panic!("{stage}: no time"));
-        // The watch runs inside of the spans of some stages and outside of the others'. A clock ticks in nanoseconds.
+        // The stopwatch runs inside the spans of some stages and outside those of others. A clock ticks in nanoseconds.
         let (spans, ticks) = (1e-6 * microseconds, 2e-9 * count as f64);
         let holds = match *stage {
             "fit" | "fusion" | "render" => spans >= seconds - ticks && spans < seconds + 1.0,
@@ -135,7 +136,7 @@ fn every_call_of_a_stage_has_its_span_and_takes_the_time_that_the_record_tells()
             .any(|s| around(&s))
     };
     let of_kernels = spans.iter().filter(|span| span.category.starts_with("streamsplat_kernels"));
-    // The position code of DINOv2 is resized as it is loaded.
+    // DINOv2's position code is resized on loading.
     let load = spans.iter().filter(|span| span.name == "load").map(|span| span.end).fold(0.0, f64::max);
     for span in of_kernels.filter(|span| span.start > load) {
         assert!(inside(span), "{} at {} µs is in no stage", span.name, span.start);
@@ -146,7 +147,7 @@ fn every_call_of_a_stage_has_its_span_and_takes_the_time_that_the_record_tells()
 fn every_operation_of_the_kernels_has_spans() {
     let scratch = Scratch::new();
     let clip = scratch.clip("clip", 3, 40, 24);
-    // One whose tokens see some others only, so that changes are looked for.
+    // A model whose tokens attend only to some others, so that changes are detected.
     let model = fixture("parity/tiny-window.safetensors");
     let (_, spans) = traced(
         &scratch,
@@ -154,20 +155,20 @@ fn every_operation_of_the_kernels_has_spans() {
         &[Path::new("run"), &clip, Path::new("--model"), &model, Path::new("--motion=frames"), Path::new("--refine=1")],
     );
     let mut found = operations(&spans);
-    // And a still scene, whose colours are harmonics.
+    // A still scene, whose colours are harmonics.
     let (scene, camera) = crate::still::prepared(&scratch);
     let (_, spans) =
         traced(&scratch, "still", &["render".as_ref(), &scene, "--camera".as_ref(), &camera, "--size=90x60".as_ref()]);
     found.extend(operations(&spans));
-    // And a shutter, which averages images.
+    // A shutter, which averages images.
     let out = scratch.path("out");
-    // From the side, where what was not filmed is filled.
+    // From the side, where unfilmed parts are filled.
     let words = ["--times=0.05", "--shutter=180", "--orbit=20:0.1"].map(Path::new);
     let (_, spans) = traced(&scratch, "shutter", &[&[Path::new("render"), &out], &words[..]].concat());
     found.extend(operations(&spans));
 
-    // One operation, one folder. Three hold what operations are made of; the rasteriser has three passes, its map of
-    // colours three more, and their fit one.
+    // One folder per operation, with exceptions. Three folders contain parts of operations; the rasteriser has three
+    // passes, its map of colours three more, and their fit one.
     let folders =
         std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../kernels/src")).expect("the sources");
     let folders = folders.map(|entry| entry.expect("a listed file").path()).filter(|path| path.is_dir());

@@ -22,7 +22,7 @@ fn track(scene: &Path, at: &str, point: &str, more: &[&str]) -> std::process::Ou
         .expect("the program starts")
 }
 
-/// The numbers of the table on standard output.
+/// Parses the numbers of the table on standard output.
 fn rows(output: &std::process::Output) -> Vec<Vec<f64>> {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     table(std::str::from_utf8(&output.stdout).expect("text"))
@@ -38,9 +38,9 @@ fn workers() -> Workers {
     Workers::new(Level::scalar(), 1).expect("one thread")
 }
 
-/// Frames of 80×48; intervals of one second; one Gaussian that starts in the middle. In the first second it moves a
-/// quarter to the right, then it merges into another identity, which moves half up; what follows is `last`, an interval
-/// each.
+/// Writes a scene with frames of 80×48, intervals of one second, and one Gaussian that starts in the middle. In the
+/// first second it moves a quarter to the right; then it merges into another identity, which moves half up. `last` are
+/// the records of the following intervals.
 fn scene(scratch: &Scratch, name: &str, last: &[&[Record]]) -> PathBuf {
     let still = Record {
         mean: [0.0, 0.5, 0.0],
@@ -94,11 +94,11 @@ fn a_point_moves_with_its_identity_in_both_directions() {
     // World: x right, z up.
     assert!((found[4][4] - 0.25).abs() < 1e-6 && (found[4][6] - 0.5).abs() < 1e-6, "{:?}", found[4]);
 
-    // A time that is no frame's is added; times asked for are taken as they are.
+    // A time between frames is added; requested times are used unchanged.
     assert_eq!(rows(&track(&folder, "0.25", "42,23.5", &[]))[1][0], 0.25);
     let some = rows(&track(&folder, "1.5", "49.5,17.5", &["--times", "1.25,1.75"]));
     assert_eq!(some.iter().map(|row| row[0]).collect::<Vec<_>>(), [1.25, 1.75]);
-    // The identity that another one merged into was not there before.
+    // The identity that another one merged into does not exist before.
     let (csv, report) = (scratch.path("path.csv"), scratch.path("path.json"));
     let files = ["--out", csv.to_str().expect("UTF-8"), "--json", report.to_str().expect("UTF-8")];
     let output = track(&folder, "1.5", "49.5,17.5", &files);
@@ -119,7 +119,7 @@ fn a_track_ends_where_its_identity_does_or_its_numbers_do() {
     let scratch = Scratch::new();
     let gone = Record { mean: [0.25, 0.5, 0.5], opacity: 0.9, scale: [0.1; 2], identity: 11, ..Record::default() };
     let nan = Record { identity: 9, velocity: [f32::NAN, 0.0, 0.0], ..gone };
-    // Twice this velocity is no number.
+    // Twice this velocity overflows.
     let vast = Record { identity: 9, velocity: [f32::MAX, 0.0, 0.0], ..gone };
     for (name, last) in [("gone", gone), ("nan", nan)] {
         let found = rows(&track(&scene(&scratch, name, &[&[last]]), "0.5", "44.5,23.5", &[]));
@@ -188,7 +188,7 @@ fn points_and_times_that_are_none_are_wrong_use_and_an_empty_place_is_failed_wor
     }
     let text = fails(&track(&folder, "0.5", "44.5,23.5", &["--times", "0,8"]), 2);
     assert!(text.contains("--times: time 8 s"), "{text}");
-    // A corner far from the only Gaussian, and an interval that holds none.
+    // A corner far from the only Gaussian, and an interval without Gaussians.
     for (at, point) in [("0.5", "0,0"), ("2.5", "44.5,23.5")] {
         let output = track(&folder, at, point, &[]);
         let text = fails(&output, 1);
@@ -197,7 +197,7 @@ fn points_and_times_that_are_none_are_wrong_use_and_an_empty_place_is_failed_wor
     }
 }
 
-/// The rows of a file of `--emit tracks`; an absent number is NaN.
+/// Returns the rows of a file of `--emit tracks`; an absent number is NaN.
 fn tracks(path: &std::path::Path) -> Vec<Vec<f64>> {
     let text = std::fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     let mut lines = text.lines();
@@ -226,7 +226,7 @@ fn emitted_tracks_are_where_the_scenes_identities_are() {
             assert_eq!(row[9] as u64, merge.into);
         }
         let Some(next) = (i < 3).then(|| scene.interval(i + 1).expect("just written")) else { continue };
-        // The next interval starts with exactly these, at these places.
+        // The next interval starts with exactly these identities, at these positions.
         let mut compared = 0;
         for record in next.gaussians.iter().filter(|r| r.reference == Reference::Start) {
             let row = rows.iter().find(|row| row[0] as u64 == record.identity).expect("a line");
@@ -236,7 +236,7 @@ fn emitted_tracks_are_where_the_scenes_identities_are() {
             compared += 1;
         }
         assert_eq!(compared, rows.iter().filter(|row| row[9].is_nan()).count());
-        // And a pixel is where a track of that identity is.
+        // The track of an identity passes through its pixel.
         let record = next.gaussians.get(next.gaussians.len() / 3);
         let row = rows.iter().find(|row| row[0] as u64 == record.identity).expect("a line");
         let picked = Picked {

@@ -1,5 +1,5 @@
-//! `docs/trust.md` names tests and mutations that exist, and every mutation has its promise; `docs/formats.md` names
-//! tests that exist.
+//! `docs/trust.md` names only existing tests and mutations, and every mutation has its promise; `docs/formats.md` names
+//! only existing tests.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -12,23 +12,23 @@ fn read(name: &str) -> String {
     std::fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
 }
 
-/// The parts of a text between backquotes.
+/// Iterates over the parts of a text between backquotes.
 fn quoted(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2)
 }
 
-/// The tests that a page names, as `PATH::FUNCTION` between backquotes.
+/// Returns the tests that a page names, as `PATH::FUNCTION` between backquotes.
 fn named(page: &str) -> Vec<(&str, &str)> {
     quoted(page).filter_map(|code| code.split_once("::")).collect()
 }
 
-/// Returns true if the file holds the function, or a line `FUNCTION: "…"` of a macro that makes one.
+/// Returns true if the file has the function, or a macro's line `FUNCTION: "…"` that generates it.
 fn exists(file: &str, function: &str) -> bool {
     let text = std::fs::read_to_string(root().join(file)).unwrap_or_default();
     text.contains(&format!("fn {function}(")) || text.contains(&format!("\n    {function}: \""))
 }
 
-/// The mutations of the list, by name, with their tests.
+/// Returns the mutations of the list, by name, with their tests.
 fn mutations() -> BTreeMap<String, Vec<String>> {
     let list: toml::Table = toml::from_str(&read("tests/mutations/list.toml")).expect("a list");
     let text = |value: &toml::Value| value.as_str().expect("text").to_owned();
@@ -82,14 +82,14 @@ fn every_promise_has_a_mutation_and_every_mutation_a_promise() {
     }
 }
 
-/// A function of `docs/api/kernels.txt`: its path without the crate, and what is between its parentheses.
+/// Splits a function of `docs/api/kernels.txt` into its path without the crate and the text between its parentheses.
 fn function(line: &str) -> Option<(&str, &str)> {
     let (_, rest) = line.split_once("fn streamsplat_kernels::")?;
     let (path, arguments) = rest.split_once('(')?;
     Some((path.split('<').next()?, arguments.rsplit_once(" -> ").map_or(arguments, |(arguments, _)| arguments)))
 }
 
-/// Words of Rust in a text.
+/// Iterates over words of Rust in a text.
 fn words(text: &str) -> impl Iterator<Item = &str> {
     text.split(|c: char| !c.is_alphanumeric() && c != '_')
 }
@@ -98,7 +98,7 @@ fn words(text: &str) -> impl Iterator<Item = &str> {
 fn every_kernel_that_takes_sizes_is_given_impossible_ones() {
     let api = read("docs/api/kernels.txt");
     let calls = read("kernels/tests/sizes.rs");
-    // Structures with sizes in them.
+    // Structures that contain sizes.
     let structures: BTreeSet<&str> = api
         .lines()
         .filter_map(|line| line.strip_prefix("field ").or_else(|| line.strip_prefix("variant ")))
@@ -107,9 +107,9 @@ fn every_kernel_that_takes_sizes_is_given_impossible_ones() {
         .collect();
     assert!(structures.contains("Field") && structures.contains("Grid") && structures.len() > 7, "{structures:?}");
     let takes = |arguments: &str| words(arguments).any(|word| word == "usize" || structures.contains(word));
-    // These read no memory by their sizes: `uncovered` counts values of one plane, `rest` is a formula,
-    // `Request::colour` and `with_budget` store it; loops are tested at any length; `Disjoint::part` is unsafe, its
-    // range is checked.
+    // These read no memory by their sizes. `uncovered` counts values of one plane, `rest` is a formula, and
+    // `Request::colour` and `with_budget` store their argument. Loops are tested at any length; `Disjoint::part` is
+    // unsafe, and its range is checked.
     let others = [
         "fill::uncovered",
         "harmonics::rest",
@@ -130,7 +130,7 @@ fn every_kernel_that_takes_sizes_is_given_impossible_ones() {
     assert!(found > 35, "{found} functions");
 }
 
-/// The text of every Rust file in a folder and below it.
+/// Returns the text of every Rust file below a folder.
 fn sources(folder: &Path) -> String {
     let mut text = String::new();
     for entry in std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("readable").path()) {

@@ -1,4 +1,4 @@
-//! Cameras that move around a scene while its time runs on or stands still, and pairs of eyes.
+//! Cameras that move around a scene while its time runs or is held, and pairs of eyes.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,7 +17,7 @@ fn ok(output: &Output) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// The images of a rendering that `verify` agrees with.
+/// Returns the images of a rendering that `verify` confirms.
 fn drawn(scratch: &Scratch, scene: &Path, name: &str, more: &[&str]) -> BTreeMap<String, Vec<u8>> {
     let out = scratch.path(name);
     ok(&render(scene, &out, more));
@@ -25,7 +25,7 @@ fn drawn(scratch: &Scratch, scene: &Path, name: &str, more: &[&str]) -> BTreeMap
     files(&out)
 }
 
-/// A run of the clip's first second, with its scene.
+/// Runs the clip's first second; returns its scene.
 fn ran(scratch: &Scratch, name: &str, more: &[&str]) -> std::path::PathBuf {
     let out = scratch.path(name);
     run_ok(&fixtures::path("clips/moving.y4m"), &out, &[&["--frames", "13", "--gap", "4", "--quiet"], more].concat());
@@ -59,7 +59,7 @@ fn at_an_angle_of_zero_the_image_is_the_sources_own_view() {
     let scratch = Scratch::new();
     let scene = ran(&scratch, "run", &[]);
     let own = drawn(&scratch, &scene, "own", &["--times", "0.25"]);
-    // One instant is held: five images from left to right, of which the third is from the front.
+    // One time is held: five images from left to right, of which the third is from the front.
     let held = drawn(&scratch, &scene, "held", &["--times", "0.25", "--fps", "10", "--orbit", "30:0.5"]);
     let held = frames(&held);
     assert_eq!(held.len(), 5);
@@ -67,14 +67,14 @@ fn at_an_angle_of_zero_the_image_is_the_sources_own_view() {
     for other in [0, 1, 3, 4] {
         assert!(held[other] != held[2], "{other}");
     }
-    // While time runs, an orbit without seconds goes once through all of it.
+    // While time runs, an orbit without seconds takes all of it.
     let running = drawn(&scratch, &scene, "running", &["--orbit", "30"]);
     let whole = files(&scene);
     let equal: Vec<usize> = (0..13).filter(|i| frames(&running)[*i] == frames(&whole)[*i]).collect();
     assert_eq!(equal, [6]);
 }
 
-/// Share of an image's pixels that are near pure blue, the background.
+/// Returns the fraction of an image's pixels that are near pure blue, the background.
 fn blue(out: &Path, name: &str) -> f64 {
     let image = image::open(out.join(name)).expect("an image").into_rgb8();
     let blue = image.pixels().filter(|p| p[2] > 200 && p[0] < 55 && p[1] < 55).count();
@@ -84,7 +84,7 @@ fn blue(out: &Path, name: &str) -> f64 {
 #[test]
 fn what_was_not_filmed_shows_the_colours_around_it_or_is_cropped() {
     let scratch = Scratch::new();
-    // The embedded model's scene, whose camera moves.
+    // The embedded model's scene, with a moving camera.
     let scene = scratch.path("run");
     let clip = fixtures::path("clips/moving.y4m");
     let mut run = command();
@@ -104,14 +104,14 @@ fn what_was_not_filmed_shows_the_colours_around_it_or_is_cropped() {
     assert!(none > 0.05 && note.contains("at 25 degrees") && note.contains("shows the background"), "{none}: {note}");
     let (extended, note, same) = turned("extend", &[]);
     assert!(extended < 0.001 && note.contains("shows the colours around it (--fill)"), "{extended}: {note}");
-    // What was filmed is where it was, but for what showed through.
+    // Filmed parts are unchanged, except where the background showed through.
     let (x, y) = (plain.width() / 2, plain.height() / 2);
     let apart = |a: u8, b: u8| a.abs_diff(b);
     assert!((0..3).all(|c| apart(plain.get_pixel(x, y)[c], same.get_pixel(x, y)[c]) < 12), "the middle");
     let (cropped, after, larger) = turned("crop", &["--fill", "crop"]);
     assert!(cropped < 0.001 && note.contains("11 %") && !after.contains("11 %"), "{cropped}: {after}");
     assert_eq!((larger.dimensions(), larger == same), (same.dimensions(), false));
-    // In a list of golden images as well; a run, whose images are drawn as they come, refuses it.
+    // Supported in a list of golden images as well; `run`, which draws images during processing, rejects it.
     let list = scratch.path("list.toml");
     let entry = |fill: &str| {
         format!(
@@ -201,7 +201,7 @@ fn stereo_images_are_twice_as_wide_and_differ_by_the_distance_of_the_eyes() {
     let (_, near) = halves("near", &["--stereo", "--eye-distance", "0.02"]);
     let (left, far) = halves("far", &["--stereo", "--eye-distance", "0.2"]);
     assert!(near > 0 && far > 2 * near, "{near} {far}");
-    // The left eye stands on the left, at atan(0.1) degrees.
+    // The left eye is on the left, at atan(0.1) degrees.
     let angle = -2.0 * 0.1f64.atan().to_degrees();
     let orbit =
         ["--times", "0.25", "--size", "64x36", "--fps", "2", "--fill", "none", "--orbit", &format!("{}:1", -angle)];

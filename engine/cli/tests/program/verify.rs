@@ -55,7 +55,7 @@ fn a_run_that_finds_depth_is_repeated_from_any_folder() {
 fn what_is_left_out_and_which_frames_are_key_frames_is_repeated() {
     let scratch = Scratch::new();
     let clip = scratch.clip("clip", 11, 80, 48);
-    // A cut.
+    // A cut in the video.
     for frame in 6..11 {
         let path = clip.join(format!("{frame}.png"));
         let mut image = image::open(&path).expect("a picture").to_rgb8();

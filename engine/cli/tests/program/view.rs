@@ -1,4 +1,4 @@
-//! Scenes in a browser. What the page draws is tested in tests/outside/page.
+//! Scenes in a browser. tests/outside/page tests the drawing of the page.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -10,7 +10,7 @@ use streamsplat_fixtures as fixtures;
 
 use crate::support::{Scratch, command, fails, files, model, run_ok};
 
-/// The body that `path` has at an address as the program prints it.
+/// Returns the body of `path` at an address as the program prints it.
 fn get(address: &str, path: &str) -> Vec<u8> {
     let host = address.trim_start_matches("http://").trim_end_matches('/');
     let mut stream = TcpStream::connect(host).expect("listening");
@@ -22,14 +22,14 @@ fn get(address: &str, path: &str) -> Vec<u8> {
     answer.split_off(end)
 }
 
-/// The first word of the first line that comes.
+/// Returns the first word of the first line.
 fn address(lines: impl Read) -> String {
     let mut line = String::new();
     BufReader::new(lines).read_line(&mut line).expect("text");
     line.split_whitespace().next().expect("an address").to_owned()
 }
 
-/// Ends it when the test ends, however it does.
+/// Ends the process when the test ends, in any case.
 struct Ending(Child);
 
 impl Drop for Ending {
@@ -49,7 +49,7 @@ fn a_scene_is_served_until_terminated_and_the_file_holds_the_same() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let page = std::fs::read_to_string(&html).expect("a page");
     assert_eq!(page.matches("id=\"interval-").count(), 3);
-    // The page has a link to its publisher's address, which no script may be.
+    // The page links to its publisher's address, which must not be a script.
     let mut linked = command();
     linked.arg("view").arg(&out).arg("--html").arg(scratch.path("linked.html")).args(["--url", "javascript:alert(1)"]);
     let said = fails(&linked.output().expect("the program starts"), 2);
@@ -103,7 +103,7 @@ fn a_still_scene_is_served_as_an_instant_without_time() {
     assert_eq!((box_of("least"), box_of("greatest")), (3, 3));
     let packet = get(&address, "/interval/0");
     let count = u32::from_le_bytes(packet[8..12].try_into().expect("four bytes")) as usize;
-    // None has an opacity under 1/255.
+    // No opacity is under 1/255.
     assert_eq!((&packet[..4], count, packet.len()), (&b"ssst"[..], 500, 16 + 500 * 84));
     if cfg!(unix) {
         let interrupt = Command::new("kill").args(["-INT", &view.0.id().to_string()]).status();
@@ -139,7 +139,7 @@ fn a_run_that_is_watched_writes_the_same_bytes() {
     run.arg("run").arg(&clip).arg("--out").arg(&watched).arg("--model").arg(model()).args(["--gap", "2", "--serve=0"]);
     let mut run = Ending(run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the program starts"));
     let address = address(run.0.stderr.take().expect("piped"));
-    // Whoever asks hears of the end, and the page stays until Ctrl-C.
+    // Clients receive the end of the stream, and the page stays until Ctrl-C.
     let end = std::time::Instant::now() + Duration::from_secs(60);
     loop {
         let scene: serde_json::Value = serde_json::from_slice(&get(&address, "/scene.json")).expect("JSON");
@@ -155,7 +155,7 @@ fn a_run_that_is_watched_writes_the_same_bytes() {
     assert!(files(&watched) == files(&alone));
 }
 
-/// Ctrl-C once everything is written, to a process that is still there: it ends well.
+/// Sends Ctrl-C after everything is written, to a process that is still running, which must exit successfully.
 fn ends_when_interrupted(run: &mut Ending, out: &std::path::Path) {
     let end = std::time::Instant::now() + Duration::from_secs(120);
     while !out.join("run.json").is_file() {
@@ -168,7 +168,7 @@ fn ends_when_interrupted(run: &mut Ending, out: &std::path::Path) {
     assert_eq!(run.0.wait().expect("it ends").code(), Some(0));
 }
 
-/// Connects and misbehaves until it is told to stop; `kind` says how. Every connection is counted.
+/// Connects and misbehaves until it is stopped; `kind` selects how. Every connection is counted.
 fn attack(host: &str, kind: usize, attempts: &AtomicUsize, stop: &AtomicBool) {
     let mut kept = Vec::new();
     while !stop.load(Ordering::SeqCst) {
@@ -181,13 +181,13 @@ fn attack(host: &str, kind: usize, attempts: &AtomicUsize, stop: &AtomicBool) {
             // Bodies that are announced and never sent.
             0 => format!("POST / HTTP/1.1\r\n{head}Content-Length: 1000000000000000\r\n\r\n").into_bytes(),
             1 => format!("GET / HTTP/1.1\r\n{head}Content-Length: 18446744073709551615\r\n\r\n").into_bytes(),
-            // Many requests at once, none of whose answers is read.
+            // Many requests at once, whose answers are never read.
             2 => format!("GET / HTTP/1.1\r\n{head}\r\n").repeat(1000).into_bytes(),
             // A line without an end.
             3 => vec![b'a'; 4 << 20],
             // Nothing at all.
             4 => Vec::new(),
-            // Another's name, twice.
+            // A foreign host name, twice.
             _ => b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n".to_vec(),
         };
         // The server may have closed the connection.
@@ -199,7 +199,7 @@ fn attack(host: &str, kind: usize, attempts: &AtomicUsize, stop: &AtomicBool) {
             }
         } else {
             kept.push(stream);
-            // Enough that every connection the server has is taken.
+            // Enough to take every connection of the server.
             if kept.len() == 64 {
                 kept.clear();
             }
@@ -224,7 +224,7 @@ fn a_run_under_attack_writes_the_same_bytes() {
     assert_eq!(run.0.wait().expect("it ends").code(), Some(0));
 
     let mut run = piped(&attacked, &["--serve=0"]);
-    // The second half of the clip is held back until every kind of attack has had its turns.
+    // The second half of the clip is held back until every kind of attack has run several times.
     let mut input = run.0.stdin.take().expect("piped");
     let (first, second) = stream.split_at(stream.len() / 2);
     input.write_all(first).expect("it reads");
@@ -269,7 +269,7 @@ fn what_cannot_be_served_is_said() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = taken.local_addr().expect("bound").port().to_string();
     assert!(fails(&view(&["--port", &port]), 1).contains(&format!("cannot serve on 127.0.0.1:{port}")));
-    // A folder that is missing is made; one that cannot be is an error.
+    // A missing folder is created; one that cannot be created is an error.
     let html = scratch.path("new/folder/page.html");
     let output = view(&["--html", &html.display().to_string()]);
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -277,7 +277,7 @@ fn what_cannot_be_served_is_said() {
     std::fs::write(scratch.path("file"), b"").expect("writable");
     let text = fails(&view(&["--html", &scratch.path("file/page.html").display().to_string()]), 1);
     assert!(text.contains("file: cannot create"), "{text}");
-    // Somebody's picture is not replaced by a poster; the page's own is.
+    // A foreign picture is not replaced by a poster; the page's own is.
     std::fs::write(scratch.path("new/folder/other.png"), b"mine").expect("writable");
     let text = fails(&view(&["--html", &scratch.path("new/folder/other.html").display().to_string()]), 2);
     assert!(text.contains("other.png") && text.contains("found one without its page"), "{text}");

@@ -1,11 +1,11 @@
-//! Files in the wrong place: every command prints what they are and what to do.
+//! Files of the wrong kind: every command prints the kind found and advice.
 
 use std::path::Path;
 use std::process::Output;
 
 use crate::support::{Scratch, command, fails};
 
-/// The error message of a command that expects a scene, for `path`.
+/// Returns the error message of a command that expects a scene, for `path`.
 fn said(scratch: &Scratch, name: &str, path: &Path) -> String {
     let out = scratch.path("out");
     let mut program = command();

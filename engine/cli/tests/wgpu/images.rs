@@ -27,7 +27,7 @@ fn draw(gaussians: &Gaussians<'_>, projection: &Projection, request: &Request) -
     renderer.render(gaussians, projection, request).unwrap_or_else(|e| panic!("{e}")).clone()
 }
 
-/// Within 2/255 on all but one pixel in 2,000; depth and alpha likewise.
+/// Asserts that images are within 2/255 on all but one pixel in 2,000; depth and alpha likewise.
 fn assert_same(name: &str, card: &Image, cpu: &Image) {
     assert_eq!((card.width, card.height, card.dropped), (cpu.width, cpu.height, cpu.dropped), "{name}");
     let pixels = cpu.width * cpu.height;

@@ -1,5 +1,4 @@
-//! Drawing with a graphics card, on whatever adapter there is. `tests/outside/wgpu/run` installs a software one and
-//! runs this.
+//! Drawing with a graphics card, on any adapter. `tests/outside/wgpu/run` installs a software one and runs this.
 
 mod images;
 mod program;

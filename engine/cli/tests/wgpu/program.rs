@@ -33,7 +33,7 @@ fn record(folder: &Path) -> serde_json::Value {
     serde_json::from_str(&text).expect("JSON")
 }
 
-/// A small checkpoint (48×80).
+/// Returns a small checkpoint (48×80).
 fn model() -> PathBuf {
     fixtures::path("parity/tiny-nodino.safetensors")
 }
@@ -128,7 +128,7 @@ fn without_an_adapter_one_line_says_so_and_nothing_is_touched() {
     let (none, out) = (scratch.path().join("none.json"), scratch.path().join("out"));
     std::fs::write(&none, "").expect("writable");
     let mut command = program(&[&"run", &clip(), &"--out", &out, &"--renderer", &"wgpu"]);
-    // Both names that the Vulkan loader knows for its list of drivers.
+    // Both names that the Vulkan loader accepts for its list of drivers.
     command.env("VK_ICD_FILENAMES", &none).env("VK_DRIVER_FILES", &none);
     let said = fails(&output(command), 1);
     assert!(said.contains("expected a graphics card with a Vulkan driver, found none"), "{said}");

@@ -1,12 +1,12 @@
-//! `camera_path.json`, which nerfstudio's viewer exports for `ns-render`.
+//! `camera_path.json`, as exported by nerfstudio's viewer for `ns-render`.
 //!
-//! `camera_path` is an array of `{"camera_to_world": 16 numbers, "fov"}`, one per image: the matrix row by row, of a
-//! camera with OpenGL's axes (x right, y up, z backward), and the vertical field of view in degrees. Pixels are square
-//! and the principal point is in the middle; `aspect` is that of the viewer's window and ignored, as in `ns-render`.
-//! The object also has `render_width` and `render_height` in pixels, and `fps` or `seconds`. Cameras that are not
-//! perspective, and a crop, are refused by name.
+//! `camera_path` is an array of `{"camera_to_world": 16 numbers, "fov"}`, one per image. The matrix is written row by
+//! row, for a camera with OpenGL's axes (x right, y up, z backward); `fov` is the vertical field of view in degrees.
+//! Pixels are square and the principal point is in the middle. `aspect` is that of the viewer's window and ignored, as
+//! in `ns-render`. The object also has `render_width` and `render_height` in pixels, and `fps` or `seconds`. Cameras
+//! that are not perspective, and a crop, are errors.
 //!
-//! The world is that of the trained scene, in which `ns-export gaussian-splat` writes it.
+//! World coordinates are those of the trained scene, which `ns-export gaussian-splat` writes.
 
 use serde::Deserialize;
 use serde_json::Value;
@@ -34,10 +34,10 @@ struct View {
     fov: f64,
 }
 
-/// Reads the object. `size` is the image size where `render_width` or `render_height` is absent.
+/// Reads the object. `size` is used if `render_width` or `render_height` is absent.
 ///
 /// # Errors
-/// An object of another form, cameras that are no perspective ones, crops.
+/// An invalid object, cameras that are not perspective, crops.
 pub(super) fn read(value: &Value, size: Option<[usize; 2]>) -> Result<CameraSet, FormatError> {
     let Path { camera_path, camera_type, render_width, render_height, fps, seconds, crop } =
         Path::deserialize(value)
@@ -75,7 +75,7 @@ fn camera(name: &str, View { camera_to_world, fov }: &View, size: [f64; 2]) -> R
         return Err(fail("a fov between 0 and 180 degrees", fov.to_string()));
     }
     let column = |c: usize, sign: f64| -> [f64; 3] { std::array::from_fn(|r| sign * rows[r][c]) };
-    // OpenGL's up and backward are our −down and −forward.
+    // OpenGL's up and backward axes are our −down and −forward.
     let columns = [column(0, 1.0), column(1, -1.0), column(2, -1.0)];
     let pose = Pose { position: column(3, 1.0), rotation: rotation(&format!("view {name}"), columns)? };
     let focal = 0.5 * size[1] / half_angle_tangent(*fov);

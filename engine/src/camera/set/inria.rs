@@ -1,10 +1,10 @@
 //! `cameras.json` of the original 3D Gaussian splatting.
 //!
 //! An array of `{"id", "img_name", "width", "height", "position": [3], "rotation": [3][3], "fx", "fy"}`: the camera's
-//! centre, and the matrix (row by row) that turns its axes (x right, y down, z forward) into the world's. Focal lengths
-//! are in pixels. The principal point defaults to the middle of the image, as in the original program. Some later
-//! programs write `cx` and `cy`, which set it in pixels from the corner of the first pixel. A camera without `img_name`
-//! is named by its place in the array. Other keys are ignored.
+//! centre, and the matrix (row by row) from its axes (x right, y down, z forward) to the world's. Focal lengths are in
+//! pixels. The principal point defaults to the middle of the image, as in the original program. Some later programs set
+//! it with `cx` and `cy`, in pixels from the corner of the first pixel. The name of a camera without `img_name` is its
+//! index in the array. Other keys are ignored.
 
 use serde::Deserialize;
 use serde_json::Value;
@@ -30,7 +30,7 @@ struct Entry {
 /// Reads the array.
 ///
 /// # Errors
-/// Anything but an array of at least one entry. An entry that cannot be drawn is an error of its own in the set.
+/// JSON other than an array of at least one entry. The error of an entry that cannot be drawn is in the set.
 pub(super) fn read(value: &Value) -> Result<CameraSet, FormatError> {
     let Value::Array(entries) = value else { return Err(FormatError::new(FORMAT, "an array", "none")) };
     if let Some(other) = entries.iter().find(|entry| !entry.is_object()) {

@@ -1,11 +1,11 @@
-//! JSON as other programs write it: with a byte order mark, and with numbers that JSON has not.
+//! JSON as other programs write it: with a byte order mark, and with numbers that are not valid JSON.
 
 use serde_json::Value;
 
-/// Numbers that Python's `json` writes and JSON has not.
+/// Numbers that Python's `json` writes although JSON does not allow them.
 const NOT_FINITE: [&str; 3] = ["-Infinity", "Infinity", "NaN"];
 
-/// The content of a text; or expected and found values.
+/// Parses a text; or returns expected and found values.
 pub(crate) fn value(bytes: &[u8]) -> Result<Value, [String; 2]> {
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let not_json = |found: String| ["JSON".to_owned(), found];
@@ -23,7 +23,7 @@ pub(crate) fn value(bytes: &[u8]) -> Result<Value, [String; 2]> {
     })
 }
 
-/// The first number outside of strings that JSON has not, and the key before it.
+/// Returns the first number outside of strings that JSON does not allow, and the key before it.
 fn not_finite(text: &str) -> Option<(String, &'static str)> {
     let (mut key, mut last, mut rest) = (String::new(), String::new(), text);
     while let Some(c) = rest.chars().next() {
@@ -44,7 +44,7 @@ fn not_finite(text: &str) -> Option<(String, &'static str)> {
     None
 }
 
-/// Where the quotation mark is that ends a string.
+/// Returns the position of the quotation mark that ends a string.
 fn end_of_string(text: &str) -> Option<usize> {
     let mut escaped = false;
     text.bytes().position(|byte| {
@@ -54,7 +54,7 @@ fn end_of_string(text: &str) -> Option<usize> {
     })
 }
 
-/// Description of a value for messages: the keys of an object.
+/// Describes a value for messages: the keys of an object.
 pub(super) fn keys(value: &Value) -> String {
     let Value::Object(map) = value else { return "neither an array nor an object".to_owned() };
     let short = |key: &String| key.chars().take(40).collect::<String>();

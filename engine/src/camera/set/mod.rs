@@ -1,18 +1,18 @@
-//! Cameras that other programs write, recognised by the files' content.
+//! Camera files of other programs, recognised by content.
 //!
-//! | input | is | axes of a camera | what is read |
+//! | input | format | axes of a camera | content read |
 //! |---|---|---|---|
 //! | a JSON array | `cameras.json` of 3D Gaussian splatting ([`inria`]) | x right, y down, z forward | position, rotation, focal lengths, principal point |
 //! | a JSON object with `frames` | `transforms.json` of nerfstudio and instant-ngp ([`transforms`]) | OpenGL: x right, y up, z backward | poses, focal lengths or angles, principal point |
-//! | a JSON object with `camera_path` | the camera path of nerfstudio's viewer ([`camera_path`]) | OpenGL | poses, fields of view, images a second |
-//! | a JSON object with `cameras`, `animTracks`, or `camera` | `settings.json` of SuperSplat ([`supersplat`]) | a point looked at | the first camera, or the animation |
+//! | a JSON object with `camera_path` | the camera path of nerfstudio's viewer ([`camera_path`]) | OpenGL | poses, fields of view, images per second |
+//! | a JSON object with `cameras`, `animTracks`, or `camera` | `settings.json` of SuperSplat ([`supersplat`]) | a target point | the first camera, or the animation |
 //! | a folder, or a file in it, with `cameras` and `images` as `.bin` or `.txt` | a COLMAP model ([`colmap`]) | x right, y down, z forward | poses, rigs, cameras `SIMPLE_PINHOLE` and `PINHOLE` |
 //! | a JSON object with `type` or `views` | this program's own ([`super::file`]) | x right, y down, z forward | a camera or a path |
 //!
-//! World axes and units are those of the file, which are those of a scene that was trained with it: nothing is turned
-//! or scaled, but SuperSplat's, which shows scenes turned. A view through a lens with distortion is refused by name,
-//! and the others are drawn. Where other programs count pixels from the corner of the first pixel, so does
-//! [`Lens::Pinhole`]: the middle of the first pixel is at half a pixel.
+//! World axes and units are those of the file, which are those of a scene that was trained with it. Nothing is turned
+//! or scaled, except for SuperSplat, which shows scenes turned. For a view through a lens with distortion, the error
+//! names the distortion, and the other views are drawn. Other programs count pixels from the corner of the first pixel,
+//! and so does [`Lens::Pinhole`]: the middle of the first pixel is at half a pixel.
 
 pub mod camera_path;
 pub mod colmap;
@@ -52,20 +52,20 @@ pub struct SizedCamera {
 pub struct NamedCamera {
     /// Its image's name.
     pub name: String,
-    /// The camera, or why it cannot be drawn with.
+    /// The camera, or the reason why it cannot be used.
     pub camera: Result<SizedCamera, FormatError>,
 }
 
-/// The cameras of a file of another program.
+/// The cameras in a file of another program.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraSet {
     /// The format's name.
     pub format: &'static str,
-    /// The cameras in the file's order; those of a COLMAP model by their names.
+    /// The cameras in the file's order; those of a COLMAP model by name.
     pub cameras: Vec<NamedCamera>,
-    /// Cameras that are found by their names and are no part of the path.
+    /// Cameras that can be selected by name but are not part of the path.
     pub aside: Vec<NamedCamera>,
-    /// Cameras of a second, where they are images of a video.
+    /// Cameras per second, if they are images of a video.
     pub rate: Option<f64>,
 }
 
@@ -77,7 +77,8 @@ impl CameraSet {
         Ok(Self { format, cameras, aside: Vec::new(), rate: None })
     }
 
-    /// The camera that `text` means: its number from 0, its image's name, or that without folders or ending.
+    /// Returns the camera that `text` selects: by its index from 0, its image's name, or that name without folders or
+    /// ending.
     ///
     /// # Errors
     /// No camera of that name, or several.
@@ -114,20 +115,20 @@ impl CameraSet {
         Err(FormatError::new("view", format!("a number from 0 to {} or a name such as {first}", count - 1), text))
     }
 
-    /// The cameras as they are drawn with, in their order.
+    /// Returns the cameras in order.
     ///
     /// # Errors
-    /// That of the first which cannot be.
+    /// The error of the first camera that cannot be used.
     pub fn usable(&self) -> Result<Vec<SizedCamera>, FormatError> {
         self.cameras.iter().map(|named| named.camera.clone()).collect()
     }
 
-    /// Time of camera `index` in seconds, at [`CameraSet::rate`] or one camera per second.
+    /// Returns the time of camera `index` in seconds, at [`CameraSet::rate`] or one camera per second.
     pub fn time(&self, index: usize) -> f64 {
         index as f64 / self.rate.unwrap_or(1.0)
     }
 
-    /// A path through all cameras, at their times.
+    /// Returns a path through all cameras, at their times.
     ///
     /// # Errors
     /// As [`CameraSet::usable`].
@@ -137,7 +138,7 @@ impl CameraSet {
     }
 }
 
-/// Cameras of any kind that is read.
+/// Cameras of any supported kind.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CameraFile {
     /// This program's own: a camera or a path.
@@ -146,16 +147,16 @@ pub enum CameraFile {
     Set(CameraSet),
 }
 
-/// Why cameras cannot be read.
+/// Error of reading a camera file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CameraFileError {
-    /// The system's answer.
+    /// The file cannot be read.
     #[error("{}: {cause}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// The system's answer.
+        /// The system's error.
         cause: std::io::Error,
     },
     /// Error in a file in this program's own format.
@@ -169,17 +170,17 @@ pub enum CameraFileError {
     /// Error in a file of another program.
     #[error("{}: {cause}", path.display())]
     Format {
-        /// The file or the folder.
+        /// The file or folder.
         path: PathBuf,
         /// The error.
         cause: FormatError,
     },
 }
 
-/// Opens a file or a folder of cameras. `size` (width and height) is the image size where the file has none.
+/// Opens a file or a folder of cameras. `size` (width and height) is used if the file has no image size.
 ///
 /// # Errors
-/// Files that cannot be read or hold something else.
+/// Files that cannot be read or have other content.
 pub fn open(path: &Path, size: Option<[usize; 2]>) -> Result<CameraFile, CameraFileError> {
     let format = |cause| CameraFileError::Format { path: path.to_owned(), cause };
     if path.is_dir() {
@@ -209,7 +210,7 @@ pub fn open(path: &Path, size: Option<[usize; 2]>) -> Result<CameraFile, CameraF
     }
 }
 
-/// The cameras of another program's JSON; `None` for any other text.
+/// Reads the cameras of another program's JSON; `None` for any other text.
 pub fn parse(json: &str, size: Option<[usize; 2]>) -> Option<Result<CameraSet, FormatError>> {
     of_value(&json::value(json.as_bytes()).ok()?, size)
 }
@@ -257,7 +258,7 @@ fn of_colmap(folder: &Path, endings: &[&str]) -> Result<CameraFile, CameraFileEr
     Err(format(FormatError::new("folder", expected, "neither")))
 }
 
-/// A pinhole camera from pixels, counted from the corner of the first one.
+/// Returns a pinhole camera from pixels, counted from the corner of the first one.
 fn pinhole(
     name: &str,
     pose: Pose,
@@ -291,7 +292,7 @@ fn rotation(name: &str, columns: [[f64; 3]; 3]) -> Result<Rotation, FormatError>
 mod tests {
     use super::*;
 
-    /// Four names, all at the origin.
+    /// Returns a set with four names, all cameras at the origin.
     fn set() -> CameraSet {
         let sized = SizedCamera { camera: Camera::default(), size: [4, 3] };
         let camera = |name: &str| NamedCamera { name: name.into(), camera: Ok(sized) };

@@ -1,14 +1,15 @@
-//! `transforms.json` of nerfstudio and instant-ngp, and of the scenes made for NeRF with Blender.
+//! `transforms.json` of nerfstudio, instant-ngp, and the Blender scenes of NeRF.
 //!
 //! Each of `frames` has a `file_path` and a `transform_matrix` (camera to world, row by row; OpenGL's axes: x right, y
 //! up, z backward). The lens keys are in the frame or at the top level: `w`, `h`, `fl_x`, `fl_y`, `cx`, `cy` in pixels,
 //! or the angles `camera_angle_x` and `camera_angle_y` in radians. Defaults: `fl_y` is `fl_x`, `cx` and `cy` are the
-//! middle of the image, `w` and `h` are the caller's size. Distortion is refused by name, whether as `k1` … `k4`, `p1`,
-//! `p2` or as `distortion_params`, and so are `is_fisheye` and instant-ngp's marks of other lenses. Values of 0 or
-//! false are accepted.
+//! middle of the image, `w` and `h` are the caller's size.
 //!
-//! Poses are used unchanged: nerfstudio's `applied_transform` is in them already, and instant-ngp's `scale` and
-//! `offset` move them into its own unit cube, in which no file of Gaussians lies.
+//! Distortion is an error that names the key, whether as `k1` … `k4`, `p1`, `p2` or as `distortion_params`. So are
+//! `is_fisheye` and instant-ngp's keys for other lenses. Values of 0 or false are accepted.
+//!
+//! Poses are used unchanged. They already include nerfstudio's `applied_transform`; instant-ngp's `scale` and `offset`
+//! map to its own unit cube, which no file of Gaussians uses.
 
 use serde::Deserialize;
 use serde_json::Value;
@@ -60,7 +61,7 @@ struct Lens {
 }
 
 impl Lens {
-    /// The first mark of a lens that is no pinhole, and its value.
+    /// Returns the first key, with its value, that marks a lens other than a pinhole.
     fn other_than_pinhole(&self) -> Option<(&'static str, String)> {
         let is_set = |value: &Value| match value {
             Value::Null | Value::Bool(false) => false,
@@ -107,13 +108,13 @@ impl Lens {
     }
 }
 
-/// Models that are a pinhole where their coefficients are 0.
+/// Camera models that are a pinhole if their coefficients are 0.
 const MODELS: [&str; 6] = ["PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
 
-/// Reads the object. `size` is the image size where `w` or `h` is absent.
+/// Reads the object. `size` is used if `w` or `h` is absent.
 ///
 /// # Errors
-/// An object of another form. A frame that cannot be drawn is an error of its own in the set.
+/// An invalid object. The error of a frame that cannot be drawn is in the set.
 pub(super) fn read(value: &Value, size: Option<[usize; 2]>) -> Result<CameraSet, FormatError> {
     let Transforms { frames, lens } = Transforms::deserialize(value)
         .map_err(|e| FormatError::new(FORMAT, "frames with file_path and transform_matrix", e.to_string()))?;
@@ -147,7 +148,7 @@ fn camera(name: &str, frame: &Value, beside: &Lens, asked: Option<[usize; 2]>) -
     let [Some(w), Some(h)] = sides else {
         return Err(fail("w and h, or a size that is asked for (--size)", "neither".to_owned()));
     };
-    // Half of the side over the tangent of half of the angle.
+    // Half the side over the tangent of half the angle.
     let from_angle = |angle: f64, side: f64| {
         let (sin, cos) = sin_cos(0.5 * angle.clamp(0.0, 3.2));
         0.5 * side * cos / sin
@@ -160,7 +161,7 @@ fn camera(name: &str, frame: &Value, beside: &Lens, asked: Option<[usize; 2]>) -
     };
     let centre = [lens.cx.or(beside.cx).unwrap_or(0.5 * w), lens.cy.or(beside.cy).unwrap_or(0.5 * h)];
     let column = |c: usize, sign: f64| -> [f64; 3] { std::array::from_fn(|r| sign * rows[r][c]) };
-    // OpenGL's up and backward are our −down and −forward.
+    // OpenGL's up and backward axes are our −down and −forward.
     let columns = [column(0, 1.0), column(1, -1.0), column(2, -1.0)];
     let pose = Pose { position: column(3, 1.0), rotation: rotation(name, columns)? };
     pinhole(name, pose, [w, h], [fx, fy], centre)

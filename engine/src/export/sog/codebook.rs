@@ -1,21 +1,21 @@
-//! A codebook of 256 values: Lloyd's algorithm in one dimension.
+//! A codebook of 256 values by Lloyd's algorithm in one dimension.
 
 use serde_json::Value;
 
 /// Values of a codebook.
 const SIZE: usize = 256;
-/// Most rounds of assigning and averaging.
+/// Maximum number of rounds of assigning and averaging.
 const ROUNDS: usize = 32;
 
-/// Ascending values, the last of them repeated where there are fewer.
+/// Ascending values; the last one is repeated if there are fewer than 256.
 pub(super) struct Codebook {
     values: [f32; SIZE],
 }
 
 impl Codebook {
-    /// The values themselves where there are at most 256 different ones. Otherwise the rounds start from quantiles,
-    /// half from those of the values, half from equal steps; values of equal distance go to the smaller; means are
-    /// formed in binary64 from sums in ascending order.
+    /// Returns the values themselves if there are at most 256 different ones. Otherwise the rounds start from 128
+    /// quantiles of the values and 128 equal steps. A value at equal distance from two centres is assigned to the
+    /// smaller one. Means are computed in binary64 from sums in ascending order.
     pub(super) fn of(values: impl Iterator<Item = f32>) -> Codebook {
         let mut sorted: Vec<f32> = values.collect();
         sorted.sort_unstable_by(f32::total_cmp);
@@ -26,7 +26,7 @@ impl Codebook {
             different.resize(SIZE, last);
             return Codebook { values: std::array::from_fn(|i| different[i]) };
         }
-        // Sums of all values before one.
+        // Prefix sums.
         let mut sums = Vec::with_capacity(sorted.len() + 1);
         sums.push(0.0_f64);
         for x in &sorted {
@@ -66,7 +66,7 @@ impl Codebook {
         Codebook { values: centres.map(|c| c as f32) }
     }
 
-    /// The place of the nearest value, the first of equals.
+    /// Returns the index of the nearest value, the first of equals.
     pub(super) fn nearest(&self, x: f32) -> u8 {
         let above = self.values.partition_point(|value| *value < x).min(SIZE - 1);
         let below = above.saturating_sub(1);
@@ -88,7 +88,7 @@ mod tests {
         let few = [3.0, -1.0, 3.0, 0.5];
         let codebook = Codebook::of(few.into_iter());
         assert!(few.iter().all(|x| codebook.values[usize::from(codebook.nearest(*x))] == *x));
-        // A normal distribution by sums of uniform values: the error is close to the optimum's, 2.7 / n² of the
+        // A normal distribution from sums of uniform values: the error is close to the optimum's, 2.7 / n² of the
         // variance.
         let mut state = 1_u32;
         let mut next = || {

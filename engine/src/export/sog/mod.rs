@@ -1,4 +1,4 @@
-//! SOG, version 2, in one zip file, as [`import`](mod@crate::import) describes it.
+//! SOG, version 2, in one zip file; [`import`](mod@crate::import) describes the format.
 
 mod codebook;
 mod palette;
@@ -21,12 +21,12 @@ use crate::still::{LEAST, Still};
 use codebook::Codebook;
 use palette::Palette;
 
-/// The Gaussians of one time as a SOG file: [`of_still`] of [`Still::of`].
+/// Writes the Gaussians of one time as a SOG file: [`of_still`] of [`Still::of`].
 pub fn sog(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
 
-/// A still scene as a SOG file: the bytes of [`written`].
+/// Writes a still scene as a SOG file: the bytes of [`written`].
 ///
 /// # Panics
 /// As there.
@@ -34,17 +34,17 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     written(still).bytes
 }
 
-/// A still scene as a SOG file.
+/// Writes a still scene as a SOG file.
 ///
-/// Along a Z-order curve, so that neighbouring pixels are alike. Centres have 16 bits per axis on a logarithmic scale,
-/// scales and first coefficients one of 256 values, rotations 8 bits per component, opacities 8 bits; the further
-/// coefficients of a Gaussian are one of 1,024 to 65,536 rows, found by splitting the Gaussians in two at the mean of
-/// the coefficient that varies most, where that lowers the error most. Gaussians that cannot be drawn
-/// ([`Still::defect`]) are left out. `"model": "antialiased"` where the scene was trained so. The bytes are a function
-/// of the scene alone.
+/// Gaussians are in Z-order, so that neighbouring pixels are similar. Centres have 16 bits per axis on a logarithmic
+/// scale, scales and first coefficients one of 256 values, rotations 8 bits per component, opacities 8 bits. The
+/// further coefficients of a Gaussian are one of 1,024 to 65,536 rows. Rows are found by repeatedly splitting the group
+/// of Gaussians with the largest error in two, at the mean of the coefficient that varies most. Gaussians that cannot
+/// be drawn ([`Still::defect`]) are left out. `"model": "antialiased"` marks scenes trained with anti-aliasing. The
+/// bytes are a function of the scene alone.
 ///
 /// # Panics
-/// When the arrays differ in length ([`Still::uneven`]).
+/// If the arrays differ in length ([`Still::uneven`]).
 pub fn written(still: &Still) -> Written {
     let kept = Order::along_curve(still);
     let mut notes = Notes::of(still, &kept);
@@ -69,7 +69,7 @@ pub fn written(still: &Still) -> Written {
         let m = still.mean[i].map(log);
         [std::array::from_fn(|k| least[k].min(m[k])), std::array::from_fn(|k| greatest[k].max(m[k]))]
     });
-    // Without Gaussians there are no bounds, and infinities are not JSON.
+    // Without Gaussians there are no bounds, and infinities are not valid JSON.
     let [mins, maxs] = if order.is_empty() { [[0.0; 3]; 2] } else { bounds };
     let fixed = |i: usize| -> [[u8; 2]; 3] {
         std::array::from_fn(|k| {
@@ -82,7 +82,7 @@ pub fn written(still: &Still) -> Written {
         add("means_l.webp", &mut order.iter().map(|&i| byte(0)(fixed(i)))),
         add("means_u.webp", &mut order.iter().map(|&i| byte(1)(fixed(i)))),
     ];
-    // A thickness of 0 is the least that others keep.
+    // A scale of 0 is stored as [`LEAST`], as in other formats.
     let log_scale = |i: usize| still.log_scale[i].map(|s| if s == f32::NEG_INFINITY { ln(LEAST) as f32 } else { s });
     let scales = Codebook::of(order.iter().flat_map(|&i| log_scale(i)));
     let [x, y, z] = [0, 1, 2];
@@ -128,7 +128,7 @@ fn harmonics(still: &Still, order: &[usize], size: [usize; 2], files: &mut Vec<(
     let codebook = Codebook::of(palette.rows.iter().copied());
     let count = palette.rows.len() / (3 * width);
     let lines = count.div_ceil(ROWS);
-    // A line holds 64 rows of coefficients, one after another: pixels in the order of the rows.
+    // A line holds 64 rows of coefficients side by side, so pixels are in the order of the rows.
     let pixels = palette.rows.as_chunks::<3>().0.iter().map(|c| {
         let [red, green, blue] = c.map(|c| codebook.nearest(c));
         [red, green, blue, 255]
@@ -147,7 +147,7 @@ fn harmonics(still: &Still, order: &[usize], size: [usize; 2], files: &mut Vec<(
     })
 }
 
-/// The three smallest of w, x, y, z in eight bits each; the largest, which is made positive, by its number.
+/// Packs the three smallest of w, x, y, z in eight bits each, and the index of the largest, which is made positive.
 fn rotation(q: [f32; 4]) -> [u8; 4] {
     let q = Rotation::from_quaternion(q.map(f64::from)).unwrap_or_default().quaternion();
     let largest = (1..4).fold(0, |best: usize, i| if q[i].abs() > q[best].abs() { i } else { best });
@@ -159,7 +159,7 @@ fn rotation(q: [f32; 4]) -> [u8; 4] {
     bytes
 }
 
-/// A lossless image; pixels that are missing are opaque black.
+/// Encodes a lossless image; missing pixels are opaque black.
 fn webp([width, height]: [usize; 2], pixels: &mut dyn Iterator<Item = [u8; 4]>) -> Vec<u8> {
     let all = pixels.chain(std::iter::repeat([0, 0, 0, 255])).take(width * height);
     let bytes: Vec<u8> = all.flatten().collect();
@@ -170,7 +170,7 @@ fn webp([width, height]: [usize; 2], pixels: &mut dyn Iterator<Item = [u8; 4]>) 
     out
 }
 
-/// Files of a fixed date in one, as they are: images are compressed already.
+/// Stores files with a fixed date in one zip file, uncompressed: images are compressed already.
 fn zip(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
     let options = SimpleFileOptions::DEFAULT.compression_method(CompressionMethod::Stored);
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));

@@ -1,4 +1,4 @@
-//! A palette of rows: a tree of splits.
+//! A palette of rows by a tree of splits.
 
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
@@ -7,13 +7,13 @@ use std::collections::BinaryHeap;
 const LEAST: usize = 1 << 10;
 const MOST: usize = 1 << 16;
 
-/// Rows, and the number of the row that replaces each input row.
+/// The rows, and for each input row the index of the row that replaces it.
 pub(super) struct Palette {
     pub(super) rows: Vec<f32>,
     pub(super) labels: Vec<u16>,
 }
 
-/// Rows that share one of the palette.
+/// Input rows that share one row of the palette.
 struct Cell {
     /// Sum of squared distances from the mean.
     error: f64,
@@ -27,9 +27,9 @@ struct Cell {
 }
 
 impl Palette {
-    /// Splits the cell of the largest error, the first of equals, in two, at the mean of its widest coefficient, until
-    /// there are as many as wanted or all rows of every cell are the same. Sums in binary64 in the order of the
-    /// members.
+    /// Splits cells until their number is the wanted one or all rows of every cell are equal. Each step splits the cell
+    /// of largest error, the first of equals, at the mean of its widest coefficient. Sums are in binary64 in the order
+    /// of the members.
     pub(super) fn of(rows: &[f32], width: usize) -> Palette {
         let count = rows.len() / width;
         let wanted = ((count + 1).next_power_of_two() / 2).clamp(LEAST, MOST);
@@ -49,7 +49,7 @@ impl Palette {
             own[..low.len()].copy_from_slice(&low);
             own[low.len()..].copy_from_slice(&high);
             if middle == cell.from || middle == cell.to {
-                // Equal but for what rounding leaves of the mean.
+                // The rows are equal; only rounding makes the mean differ.
                 heap.push(Cell { error: 0.0, ..cell });
                 continue;
             }

@@ -1,44 +1,44 @@
-//! Centres in fixed point: how many bits go after the point.
+//! Centres in fixed point: the choice of the number of fractional bits.
 //!
-//! A centre has 24 bits. The more of them are after the point, the finer it is, and the nearer is the end of the range.
-//! For each number of bits, a Gaussian costs 1 where it would be cut off, and else `min(1, (ε/σ)²)`, with ε half a step
-//! and σ the largest standard deviation: what is rounded by as much as it is wide is as good as lost. The number of
-//! least cost is taken, of equal ones the one that cuts off least. So a few floaters cost no precision of other
-//! Gaussians, and a wide scene is not cut off.
+//! A centre has 24 bits. More fractional bits make it finer, but reduce the range. For each number of bits, the cost of
+//! a Gaussian is 1 if it is clamped to the range. Otherwise it is `min(1, (ε/σ)²)`, where ε is half a step and σ the
+//! largest standard deviation: a Gaussian that moves by its own width counts as lost. The number of least total cost is
+//! chosen; of equal ones, the one that clamps fewest. So a few stray Gaussians do not reduce the precision of the
+//! others, and a wide scene is not clamped.
 
 use super::Notes;
 use crate::still::{Still, middle};
 
-/// Bits after the point at most.
+/// Maximum number of fractional bits.
 const MOST_BITS: u32 = 12;
 /// One above the largest fixed-point number.
 const END: f64 = 8_388_608.0;
-/// Cost per Gaussian from which on an offset is taken out of the coordinates.
+/// Cost per Gaussian above which an offset is subtracted from the coordinates.
 const FAR: f64 = 0.01;
 
-/// A fixed point, and the offset subtracted before.
+/// A fixed-point format, and the offset subtracted before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Fixed {
     pub(super) bits: u32,
-    /// Whole numbers taken off the centres.
+    /// Integers subtracted from the centres.
     off: [f64; 3],
 }
 
 impl Fixed {
-    /// The best one for the Gaussians at `places`.
+    /// Returns the best format for the Gaussians at `places`.
     pub(super) fn of(still: &Still, places: &[usize]) -> Fixed {
         let (plain, cost) = Fixed::best(still, places, [0.0; 3]);
         if cost <= FAR * places.len() as f64 {
             return plain;
         }
-        // As in maps: far from zero, and not wide.
+        // Map coordinates are far from zero, but not wide.
         let along = |axis: usize| places.iter().map(|&i| still.mean[i][axis]).collect();
         let Some(off) = middle([along(0), along(1), along(2)]) else { return plain };
         let (near, less) = Fixed::best(still, places, off);
         if less < 0.5 * cost { near } else { plain }
     }
 
-    /// The best one with this offset, and its cost.
+    /// Returns the best format with this offset, and its cost.
     fn best(still: &Still, places: &[usize], off: [f64; 3]) -> (Fixed, f64) {
         let at = |bits| Fixed { bits, off };
         if places.iter().all(|&i| at(MOST_BITS).holds(still.mean[i])) {
@@ -46,7 +46,7 @@ impl Fixed {
         }
         (0..=MOST_BITS).map(|bits| (at(bits), at(bits).cost(still, places))).fold(
             (at(0), f64::INFINITY),
-            // Fewer bits cut off less.
+            // Fewer bits clamp less.
             |best, next| if next.1 < best.1 { next } else { best },
         )
     }
@@ -58,7 +58,7 @@ impl Fixed {
                 return 1.0;
             }
             let widest = still.log_scale[i].into_iter().fold(f32::NEG_INFINITY, f32::max);
-            // Beyond the format's least it is as wide as that.
+            // Below the format's least scale, the Gaussian is stored with that scale.
             let share = half / streamsplat_kernels::math::f64::exp(f64::from(widest.max(-10.0)));
             (share * share).min(1.0)
         };
@@ -77,7 +77,7 @@ impl Fixed {
         self.parts(mean).iter().all(|x| (-END..END).contains(x))
     }
 
-    /// Nine bytes of a centre.
+    /// Returns the nine bytes of a centre.
     pub(super) fn bytes(self, mean: [f32; 3]) -> impl Iterator<Item = u8> {
         self.parts(mean).into_iter().flat_map(|x| {
             let [a, b, c, _] = (x.clamp(-END, END - 1.0) as i32).to_le_bytes();
@@ -85,7 +85,7 @@ impl Fixed {
         })
     }
 
-    /// The offset of the coordinates in the file.
+    /// Returns the offset of the coordinates in the file.
     pub(super) fn offset(self, still: &Still) -> [f64; 3] {
         std::array::from_fn(|k| still.about.offset[k] + self.off[k])
     }

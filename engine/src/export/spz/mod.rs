@@ -18,21 +18,21 @@ use crate::render::Snapshot;
 use crate::still::Still;
 use fixed::Fixed;
 
-/// Coefficients per byte of colour, over 255.
+/// Factor from coefficients to colours, which are stored times 255.
 pub(crate) const COLOUR: f64 = 0.15;
-/// Bits kept of coefficients of degree 1, and of higher ones.
+/// Bits kept of coefficients of degree 1, and of higher degrees.
 const KEPT: [u32; 2] = [5, 4];
 /// Range of the logarithm of a scale in a byte.
 const LOGS: [f32; 2] = [-10.0, 5.9375];
 /// Range of `0.15·c + ½` that rounds to a byte of colour without clamping, for a first coefficient `c`.
 const COLOURS: [f64; 2] = [-0.5 / 255.0, 1.0 + 0.5 / 255.0];
 
-/// The Gaussians of one time as an SPZ file: [`of_still`] of [`Still::of`].
+/// Writes the Gaussians of one time as an SPZ file: [`of_still`] of [`Still::of`].
 pub fn spz(snapshot: &Snapshot) -> Vec<u8> {
     of_still(&Still::of(snapshot))
 }
 
-/// A still scene as an SPZ file, version 3: the bytes of [`written`].
+/// Writes a still scene as an SPZ file, version 3: the bytes of [`written`].
 ///
 /// # Panics
 /// As there.
@@ -40,19 +40,18 @@ pub fn of_still(still: &Still) -> Vec<u8> {
     written(still, SpzVersion::V3).bytes
 }
 
-/// A still scene as an SPZ file: see [`import`](mod@crate::import) for the precision of each value.
+/// Writes a still scene as an SPZ file; see [`import`](mod@crate::import) for the precision of each value.
 ///
-/// Numbers are along the scene's own axes (RDF). Version 4 stores the axes in a record, version 3 in the comment of its
+/// Values are along the scene's own axes (RDF). Version 4 stores the axes in a record, version 3 in the comment of its
 /// gzip stream.
 ///
-/// Positions have 12 bits after the point, or fewer where more Gaussians would suffer from what is cut off than from
-/// what is rounded; what is farther than the others is moved to the end of the range. The harmonics' coefficients are
-/// rounded to 5 bits at degree 1 and 4 above, as the format's own program does. Gaussians that cannot be drawn
-/// ([`Still::defect`]) are left out. Everything is compressed by pure-Rust code, so the bytes are a function of the
-/// scene alone.
+/// Positions have 12 fractional bits, or fewer if clamping would damage more Gaussians than rounding; the few that are
+/// farther away are clamped to the range. The harmonics' coefficients are rounded to 5 bits at degree 1 and 4 above, as
+/// in the format's own program. Gaussians that cannot be drawn ([`Still::defect`]) are left out. Everything is
+/// compressed by pure-Rust code, so the bytes are a function of the scene alone.
 ///
 /// # Panics
-/// When the arrays differ in length ([`Still::uneven`]), or there are 2³² Gaussians.
+/// If the arrays differ in length ([`Still::uneven`]), or there are 2³² Gaussians.
 pub fn written(still: &Still, version: SpzVersion) -> Written {
     let rest = 3 * rest(still.degree);
     let order = Order::own(still);
@@ -94,7 +93,7 @@ struct Head {
 }
 
 impl Head {
-    /// The first 15 bytes.
+    /// Returns the first 15 bytes.
     fn bytes(&self, version: u32, more_flags: u8) -> Vec<u8> {
         let mut out = MAGIC.to_vec();
         out.extend_from_slice(&version.to_le_bytes());
@@ -104,7 +103,7 @@ impl Head {
     }
 }
 
-/// Version 3.
+/// Encodes version 3.
 fn gzipped(header: Head, attributes: &[Vec<u8>; 6], comment: &str) -> Vec<u8> {
     let mut encoder = GzBuilder::new().comment(comment).write(Vec::new(), Compression::default());
     let plain = [header.bytes(3, 0), vec![0]];
@@ -112,7 +111,7 @@ fn gzipped(header: Head, attributes: &[Vec<u8>; 6], comment: &str) -> Vec<u8> {
     written.and_then(|()| encoder.finish()).unwrap_or_else(|e| panic!("a gzip stream in memory: {e}"))
 }
 
-/// Version 4.
+/// Encodes version 4.
 fn framed(header: Head, attributes: &[Vec<u8>; 6], records: &[u8]) -> Vec<u8> {
     let filled = || attributes.iter().filter(|attribute| !attribute.is_empty());
     let frames: Vec<Vec<u8>> =
@@ -130,7 +129,7 @@ fn framed(header: Head, attributes: &[Vec<u8>; 6], records: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Adds notes for values that are clamped to the ranges of the format's bytes.
+/// Adds notes on values that are clamped to the ranges of the format's bytes.
 fn moved(still: &Still, sound: &[usize], notes: &mut Notes) {
     let half = 0.5 / 16.0;
     let count = |beyond: &dyn Fn(usize) -> bool| sound.iter().filter(|i| beyond(**i)).count();
@@ -147,12 +146,12 @@ fn moved(still: &Still, sound: &[usize], notes: &mut Notes) {
     notes.changed(count(&beyond), sound.len(), "with a further coefficient of the harmonics beyond ±1, moved there");
 }
 
-/// The nearest byte, halves away from zero.
+/// Returns the nearest byte, rounding halves away from zero.
 fn byte(x: f64) -> u8 {
     x.round().clamp(0.0, 255.0) as u8
 }
 
-/// The smallest three of x, y, z, w; the largest, which is made positive, by its number.
+/// Packs the three smallest of x, y, z, w, and the index of the largest, which is made positive.
 fn rotation(q: [f32; 4]) -> [u8; 4] {
     let [w, x, y, z] = Rotation::from_quaternion(q.map(f64::from)).unwrap_or_default().quaternion();
     let q = [x, y, z, w];
@@ -166,7 +165,7 @@ fn rotation(q: [f32; 4]) -> [u8; 4] {
     bits.to_le_bytes()
 }
 
-/// A coefficient, rounded to the middle of a bucket of bytes; 0 is one.
+/// Quantises a coefficient to the middle of a bucket of bytes; 0 is one of the middles.
 fn coefficient(value: f32, k: usize) -> u8 {
     let bucket = 1 << (8 - KEPT[usize::from(k >= 3)]);
     let whole = (f64::from(value) * 128.0).round().clamp(-1e6, 1e6) as i32 + 128;

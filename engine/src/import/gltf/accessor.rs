@@ -1,4 +1,4 @@
-//! Numbers of a glTF document's buffers.
+//! Reads numbers from a glTF document's buffers.
 
 use std::borrow::Cow;
 
@@ -46,7 +46,7 @@ impl Component {
         }
     }
 
-    /// The value of these bytes; a normalised one is divided by its type's largest value, and is at least −1.
+    /// Reads the value of these bytes. A normalised value is divided by its type's largest value and is at least −1.
     fn read(self, bytes: &[u8], normalized: bool) -> f64 {
         macro_rules! number {
             ($kind:ty) => {
@@ -69,19 +69,19 @@ impl<'a> Buffers<'a> {
         Self { document, read: document.buffers.iter().map(|_| None).collect(), binary, beside }
     }
 
-    /// Bytes of a document that has `own`, and of the files that its buffers name.
+    /// Returns the total size of a document of `own` bytes and of the files that its buffers name.
     pub(super) fn size(&self, own: u64) -> u64 {
         let names = self.document.buffers.iter().filter_map(|buffer| buffer.uri.as_deref());
         let names: Vec<Cow<'_, str>> = names.filter(|name| !name.starts_with("data:")).map(decoded).collect();
         self.beside.size(own, names.iter().map(Cow::as_ref))
     }
 
-    /// Elements of an accessor.
+    /// Returns the number of elements of an accessor.
     pub(super) fn count(&self, accessor: usize) -> Result<usize, FormatError> {
         self.accessor(accessor).map(|accessor| accessor.count)
     }
 
-    /// The shape of an accessor's elements.
+    /// Returns the shape of an accessor's elements.
     fn shape(&self, accessor: usize) -> Result<&'a str, FormatError> {
         self.accessor(accessor).map(|accessor| accessor.shape.as_str())
     }
@@ -91,7 +91,7 @@ impl<'a> Buffers<'a> {
         all.get(index).ok_or_else(|| missing(&format!("accessor {index}"), "accessors", all.len()))
     }
 
-    /// The values of an accessor of `count` elements of N components.
+    /// Reads an accessor of `count` elements of N components.
     pub(super) fn read<const N: usize>(&mut self, index: usize, count: usize) -> Result<Vec<[f64; N]>, FormatError> {
         let part = || format!("accessor {index}");
         let wrong = |expected: String, found: String| Err(FormatError::new(part(), expected, found));
@@ -111,7 +111,7 @@ impl<'a> Buffers<'a> {
         let size = N * component.bytes();
         let stride = self.document.buffer_views.get(view).and_then(|view| view.byte_stride).unwrap_or(size);
         let bytes = self.view(view)?;
-        // The last element ends where it does, and not with its stride.
+        // The last element has no padding up to the stride.
         let end = count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(size));
         let end = end.and_then(|end| end.checked_add(accessor.byte_offset));
         if stride < size || end.is_none_or(|end| end > bytes.len()) {
@@ -126,7 +126,7 @@ impl<'a> Buffers<'a> {
         Ok((0..count).map(|i| std::array::from_fn(|k| value(i, k))).collect())
     }
 
-    /// Colours of three components or four; an alpha that is missing is 1.
+    /// Reads colours of three or four components; a missing alpha is 1.
     pub(super) fn colours(&mut self, index: usize, count: usize) -> Result<Vec<[f64; 4]>, FormatError> {
         if self.shape(index)? == "VEC4" {
             return self.read::<4>(index, count);
@@ -134,7 +134,7 @@ impl<'a> Buffers<'a> {
         Ok(self.read::<3>(index, count)?.into_iter().map(|[r, g, b]| [r, g, b, 1.0]).collect())
     }
 
-    /// The bytes of a buffer view.
+    /// Returns the bytes of a buffer view.
     pub(super) fn view(&mut self, index: usize) -> Result<Cow<'_, [u8]>, FormatError> {
         let all = &self.document.buffer_views;
         let part = || format!("bufferView {index}");
@@ -157,7 +157,7 @@ impl<'a> Buffers<'a> {
         let all = &self.document.buffers;
         let part = || format!("buffer {index}");
         let buffer = all.get(index).ok_or_else(|| missing(&part(), "buffers", all.len()))?;
-        // Buffers that name one file share its bytes.
+        // Buffers that name the same file share its bytes.
         let index = all.iter().position(|other| other.uri.is_some() && other.uri == buffer.uri).unwrap_or(index);
         if self.read[index].is_none() {
             let wrong = |expected: String, found: String| FormatError::new(part(), expected, found);
@@ -181,7 +181,7 @@ impl<'a> Buffers<'a> {
     }
 }
 
-/// A relative reference with its percent-encoded bytes as they are; as it is where they are no text.
+/// Decodes the percent-encoded bytes of a relative reference; unchanged if the result is not UTF-8.
 fn decoded(uri: &str) -> Cow<'_, str> {
     let (bytes, mut out, mut at) = (uri.as_bytes(), Vec::with_capacity(uri.len()), 0);
     while let Some(&byte) = bytes.get(at) {

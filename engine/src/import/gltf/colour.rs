@@ -1,4 +1,4 @@
-//! Colours of linear light and of sRGB.
+//! Conversion of linear colours to sRGB.
 
 use streamsplat_kernels::harmonics::Y0;
 use streamsplat_kernels::math::f64::{exp, ln};
@@ -8,28 +8,28 @@ use crate::still::Still;
 /// Slope of the encoding near black.
 const STEEPEST: f64 = 12.92;
 
-/// Linear light of a colour of sRGB, both from 0 to 1.
+/// Converts a colour of sRGB to linear light, both from 0 to 1.
 pub(crate) fn linear_of_srgb(c: f64) -> f64 {
     if c <= 0.040_45 { c / STEEPEST } else { exp(2.4 * ln((c + 0.055) / 1.055)) }
 }
 
-/// The colour of sRGB of linear light, which is 0 or more.
+/// Converts linear light, which is 0 or more, to sRGB.
 pub(super) fn srgb_of_linear(c: f64) -> f64 {
     if c <= 0.003_130_8 { c * STEEPEST } else { 1.055 * exp(ln(c) / 2.4) - 0.055 }
 }
 
-/// The slope of [`srgb_of_linear`].
+/// Returns the slope of [`srgb_of_linear`].
 fn slope(c: f64) -> f64 {
     if c <= 0.003_130_8 { STEEPEST } else { 1.055 / 2.4 * exp(ln(c) * (1.0 / 2.4 - 1.0)) }
 }
 
-/// The first coefficient of a colour, which is brought to sRGB if `encode`.
+/// Returns the first coefficient of a colour, which is converted to sRGB first if `encode`.
 pub(super) fn coefficient(c: f64, encode: bool) -> f32 {
     let seen = if encode { srgb_of_linear(c.max(0.0)) } else { c };
     ((seen - 0.5) / Y0) as f32
 }
 
-/// Brings harmonics of linear colours to sRGB: the first coefficients exactly, the others by the slope there.
+/// Converts harmonics of linear colours to sRGB: the first coefficients exactly, the others by the slope at the first.
 pub(super) fn to_srgb(still: &mut Still) {
     let width = 3 * still.rest();
     for (i, base) in still.base.iter_mut().enumerate() {

@@ -1,7 +1,7 @@
 //! glTF 2.0 with Gaussians: `.glb` and `.gltf` files, extension `KHR_gaussian_splatting`.
 //!
-//! Every point primitive with the extension in the default scene (in all meshes, where a file has no scene), with the
-//! transforms of its nodes:
+//! Reads every point primitive with the extension in the default scene, with the transforms of its nodes. If a file has
+//! no scene, all meshes are read.
 //!
 //! | attribute | type | value |
 //! |---|---|---|
@@ -11,19 +11,19 @@
 //! | `KHR_gaussian_splatting:OPACITY` | SCALAR | from 0 to 1 |
 //! | `KHR_gaussian_splatting:SH_DEGREE_l_COEF_n` | VEC3 | coefficients of the harmonics, degrees 0 to 3 |
 //!
-//! Numbers of 8 and 16 bits, normalised or not, and binary32. Where degree 0 of the harmonics is missing, `COLOR_0`
-//! takes its place, linear as in glTF. Colours of a `lin_rec709_display` primitive are converted to sRGB, Gaussian
-//! by Gaussian ([`colour`]). Unknown kernels are drawn as ellipses, as the extension requires. In a primitive with
+//! Numbers have 8 or 16 bits, normalised or not, or are binary32. If degree 0 of the harmonics is missing, `COLOR_0`
+//! replaces it, linear as in glTF. Colours of a `lin_rec709_display` primitive are converted to sRGB, Gaussian by
+//! Gaussian ([`colour`]). Unknown kernels are drawn as ellipses, as the extension requires. In a primitive with
 //! `KHR_gaussian_splatting_compression_spz_2`, an SPZ file in a buffer view replaces the attributes. Its axes are those
 //! of an SPZ file on its own ([`spz`]); the draft of that extension converts them to glTF's with the tools of SPZ.
 //!
-//! glTF's axes are x left, y up, z forward: x and y change sign on the way into scene space, a half turn about z.
+//! glTF's axes are x left, y up, z forward. The conversion to scene space negates x and y, a half turn about z.
 //! Translations of nodes that binary32 would not keep to 1/4096 become the scene's offset. Buffers are in the file, in
 //! `data:` URIs, or in files in its folder or subfolders.
 //!
-//! Refused: other extensions that a file requires, but those of materials, textures, lights and metadata, which do not
-//! matter here; other colour spaces, sparse accessors, nodes that shear or stretch, negative scales (drafts of the
-//! extension stored logarithms).
+//! These are errors: other colour spaces, sparse accessors, nodes that shear or stretch, and negative scales (drafts of
+//! the extension stored logarithms). So are other extensions that a file requires, except those of materials, textures,
+//! lights and metadata, which have no effect on Gaussians.
 //!
 //! Source: Khronos, glTF 2.0 and `KHR_gaussian_splatting`.
 
@@ -50,16 +50,16 @@ use json::{Document, Node, Primitive};
 pub(super) const MAGIC: [u8; 4] = *b"glTF";
 pub(crate) const EXTENSION: &str = "KHR_gaussian_splatting";
 const SPZ: &str = "KHR_gaussian_splatting_compression_spz_2";
-/// Extensions a file may require.
+/// Extensions that a file may require.
 const KNOWN: [&str; 3] = [EXTENSION, SPZ, "KHR_mesh_quantization"];
-/// Beginnings of names of extensions that do not change a scene of Gaussians.
+/// Prefixes of extensions that have no effect on a scene of Gaussians.
 const WITHOUT_EFFECT: [&str; 5] = ["KHR_materials_", "EXT_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp"];
-/// Translations from here on are not kept to 1/4096 by binary32.
+/// Binary32 does not keep translations of this size or more to 1/4096.
 const NEAR: f64 = 4096.0;
-/// Deepest nesting of nodes.
+/// Maximum nesting of nodes.
 const DEEPEST: usize = 64;
 
-/// The Gaussians of a whole binary file.
+/// Reads the Gaussians of a whole binary file.
 ///
 /// # Errors
 /// Returns a [`FormatError`] with the name of the part and the expected and found values.
@@ -80,7 +80,7 @@ impl Reader for Gltf {
     }
 }
 
-/// As [`glb`], also for `.gltf` text, with buffers read through `beside`.
+/// Reads a file as [`glb`] does, also `.gltf` text, with buffers read through `beside`.
 fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
     let (text, binary) = if bytes.starts_with(&MAGIC) { chunks(bytes)? } else { (bytes, None) };
     let document: Document =
@@ -123,7 +123,7 @@ fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, Forma
     Ok(still)
 }
 
-/// The text and the binary chunk of a `.glb` file.
+/// Splits a `.glb` file into its text and its binary chunk.
 fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), FormatError> {
     let word = |at: usize| bytes.get(at..at + 4).and_then(|b| b.first_chunk()).map(|b| u32::from_le_bytes(*b));
     let wrong = |part: &str, expected: String, found: String| Err(FormatError::new(part, expected, found));
@@ -164,9 +164,9 @@ struct Reading<'a> {
     limits: &'a Limits,
     /// Total bytes of the file and its external buffers.
     size: u64,
-    /// Nodes that were visited. They form trees: none is visited twice.
+    /// Nodes that were visited. Nodes form trees, so a second visit is an error.
     seen: Vec<bool>,
-    /// Meshes that nodes show, and their transforms.
+    /// Meshes of nodes, and their transforms.
     instances: Vec<(usize, DMat4)>,
     /// Axes of the numbers, where the user sets them.
     axes: Option<Axes>,
@@ -233,7 +233,7 @@ impl Reading<'_> {
         Ok(())
     }
 
-    /// The Gaussians of a primitive, in glTF's axes.
+    /// Reads the Gaussians of a primitive, in glTF's axes.
     fn primitive(&mut self, primitive: &Primitive, part: &str) -> Result<Still, FormatError> {
         let wrong = |name: &str, expected: &str, found: String| {
             Err(FormatError::new(format!("{part}: {name}"), expected, found))
@@ -267,7 +267,7 @@ impl Reading<'_> {
         Ok(still)
     }
 
-    /// The same, in the primitive's colour space.
+    /// Reads the Gaussians as [`Self::primitive`] does, in the primitive's own colour space.
     fn gaussians(&mut self, primitive: &Primitive, part: &str) -> Result<Still, FormatError> {
         let wrong = |name: &str, expected: &str, found: String| {
             Err(FormatError::new(format!("{part}: {name}"), expected, found))
@@ -353,7 +353,7 @@ impl Reading<'_> {
         Ok(still)
     }
 
-    /// Adds Gaussians to those that were read before. Degrees are made equal with coefficients of 0.
+    /// Appends Gaussians. The lower degree is raised with coefficients of 0.
     fn append(&mut self, mut more: Still) -> Result<(), FormatError> {
         let still = &mut self.still;
         let about = &mut more.about;
@@ -382,7 +382,7 @@ impl Reading<'_> {
     }
 }
 
-/// How many Gaussians a primitive has, and the degree of their harmonics.
+/// Returns the number of Gaussians of a primitive, and the degree of their harmonics.
 fn gaussians(buffers: &mut Buffers<'_>, primitive: &Primitive) -> (usize, usize) {
     if !primitive.extensions.contains_key(EXTENSION) {
         return (0, 0);
@@ -396,22 +396,22 @@ fn gaussians(buffers: &mut Buffers<'_>, primitive: &Primitive) -> (usize, usize)
     bytes.and_then(|bytes| spz::gaussians(&bytes)).unwrap_or((0, 0))
 }
 
-/// The attribute of a coefficient of the harmonics.
+/// Returns the name of the attribute for a coefficient of the harmonics.
 fn coefficient(degree: usize, k: usize) -> String {
     format!("{EXTENSION}:SH_DEGREE_{degree}_COEF_{k}")
 }
 
-/// The degree of a primitive's harmonics.
+/// Returns the degree of a primitive's harmonics.
 fn degree(primitive: &Primitive) -> usize {
     (1..=3).rev().find(|degree| primitive.attributes.contains_key(&coefficient(*degree, 0))).unwrap_or(0)
 }
 
-/// The compressed scene that takes the place of a primitive's attributes.
+/// Returns the compressed scene that replaces a primitive's attributes.
 fn packed(primitive: &Primitive) -> Option<&serde_json::Value> {
     primitive.extensions.get(EXTENSION)?.get("extensions")?.get(SPZ)
 }
 
-/// Raises the degree of a scene.
+/// Raises the degree of a scene's harmonics.
 fn raise(still: &mut Still, degree: usize) {
     let (from, to) = (3 * rest(still.degree), 3 * rest(degree));
     if to > from {
@@ -423,13 +423,13 @@ fn raise(still: &mut Still, degree: usize) {
     }
 }
 
-/// A half turn about an axis, 1 to 3.
+/// Returns a half turn about an axis, 1 to 3.
 pub(crate) fn half_turn(axis: usize) -> Similarity {
     let quaternion = std::array::from_fn(|i| f64::from(u8::from(i == axis)));
     Similarity { scale: 1.0, rotation: Rotation::from_quaternion(quaternion).unwrap_or_default(), offset: [0.0; 3] }
 }
 
-/// A node's own matrix.
+/// Returns a node's own matrix.
 fn transform(node: &Node) -> DMat4 {
     match node.matrix {
         Some(matrix) => DMat4::from_cols_array(&matrix),
@@ -441,7 +441,7 @@ fn transform(node: &Node) -> DMat4 {
     }
 }
 
-/// A matrix as a similarity, and into scene space.
+/// Converts a matrix to a similarity in scene space.
 fn similarity(matrix: DMat4, part: &str) -> Result<Similarity, FormatError> {
     let columns: [[f64; 3]; 3] = std::array::from_fn(|i| matrix.col(i).truncate().to_array());
     let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];

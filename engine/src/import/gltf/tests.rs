@@ -20,7 +20,7 @@ fn still(count: usize, degree: usize) -> Still {
     }
 }
 
-/// The document of a binary file, and its buffer.
+/// Splits a binary file into its document and its buffer.
 fn taken_apart(file: &[u8]) -> (Value, Vec<u8>) {
     let (text, binary) = chunks(file).expect("chunks");
     (serde_json::from_slice(text).expect("JSON"), binary.expect("a buffer").to_vec())
@@ -60,7 +60,7 @@ fn a_scene_comes_back() {
         assert!(found.logit.iter().zip(&still.logit).all(|(a, b)| near(*a, *b)));
         for (a, b) in found.rotation.iter().zip(&still.rotation) {
             let length = b.iter().map(|c| c * c).sum::<f32>().sqrt();
-            // A turn there and back is a whole one: the opposite quaternion, which is the same rotation.
+            // Two half turns are a full one: the opposite quaternion, which is the same rotation.
             assert!(a.iter().zip(b).all(|(a, b)| near(-a, b / length)), "{a:?} {b:?}");
         }
     }
@@ -71,8 +71,8 @@ fn a_scene_comes_back() {
 fn nodes_move_turn_and_scale_what_hangs_below_them() {
     let (mut document, binary) = taken_apart(&export::still::glb(&still(3, 1)));
     let plain = glb(&together(&document, &binary)).expect("plain");
-    // A quarter turn about y, then to x + 1, all twice as large: two nodes with the same mesh, one of them below
-    // another.
+    // A quarter turn about y, then to x + 1, all twice as large: two nodes with the same mesh, one a child of the
+    // other.
     let half = 0.5_f64.sqrt();
     document["nodes"] = json!([
         { "children": [1], "scale": [2, 2, 2] },
@@ -93,7 +93,7 @@ fn nodes_move_turn_and_scale_what_hangs_below_them() {
     }
 }
 
-/// A document whose primitive is an SPZ file.
+/// Builds a document whose primitive is an SPZ file.
 fn with_spz(packed: &[u8]) -> Vec<u8> {
     let mut document = taken_apart(&export::still::glb(&still(5, 2))).0;
     document["meshes"][0]["primitives"][0]["extensions"][EXTENSION]["extensions"] = json!({ SPZ: { "bufferView": 0 } });

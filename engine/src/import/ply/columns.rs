@@ -1,16 +1,15 @@
-//! Columns of numbers by their names, for formats that add their own to a still scene's.
+//! Columns of numbers by name, for formats that add their own to those of a still scene.
 
 use super::header::{Encoding, Header};
 use crate::import::FormatError;
 
-/// The numbers of a column; `None` where there is no such float.
+/// The numbers of a column; `None` if there is no float column of this name.
 pub(in crate::import) type Column = Option<Vec<f32>>;
 
-/// Columns named in a message.
+/// Maximum number of columns named in a message.
 const NAMED: usize = 8;
 
-/// A line about the columns of a file's vertices that no reader takes, where there are some; normals, which are zeros,
-/// do not count.
+/// Returns a note on the vertex columns that no reader uses, if there are any. Normals, which are zeros, do not count.
 pub(in crate::import) fn left_out(head: &[u8]) -> Option<String> {
     let (header, _) = head.starts_with(b"ply").then(|| Header::read(head).ok()).flatten()?;
     let vertices = header.vertices().ok()?;
@@ -34,7 +33,7 @@ pub(in crate::import) fn left_out(head: &[u8]) -> Option<String> {
     }
 }
 
-/// Columns of a file whose vertices have been read.
+/// Returns columns of a file whose vertices have been read.
 pub(in crate::import) fn columns(bytes: &[u8], names: &[&str]) -> Result<Vec<Column>, FormatError> {
     let (header, body) = Header::read(bytes)?;
     let vertices = header.vertices()?;

@@ -4,10 +4,10 @@
 //! |---|---|---|
 //! | `SplatRenderMode: mip`, `default` or `2dgs` | trained with anti-aliasing, or without | Brush, splat-transform, this program |
 //! | `antialiased 1` or `0` | the same | Postshot |
-//! | `Vertical Axis: y` or `z` | that axis points up: a note has the `--axes` that show the scene upright; its numbers stay those of its cameras | nerfstudio |
+//! | `Vertical Axis: y` or `z` | that axis points up: a note names the `--axes` that show the scene upright; the numbers still match its cameras | nerfstudio |
 //! | `streamsplat offset X Y Z` | the origin of the coordinates | this program, in compressed files |
 //!
-//! Letter case is ignored. Of several comments the last one counts.
+//! Letter case is ignored. If a comment is repeated, the last one counts.
 
 use crate::still::About;
 
@@ -36,7 +36,7 @@ pub(super) fn read(comments: &[String], about: &mut About) {
     }
 }
 
-/// Header lines for `about`, the inverse of [`read`].
+/// Returns header lines for `about`, the inverse of [`read`].
 pub(crate) fn written(about: &About) -> Vec<String> {
     let mut lines = Vec::new();
     if about.antialiased {

@@ -6,12 +6,12 @@ use crate::import::FormatError;
 
 /// Longest header read, in bytes.
 pub(in crate::import) const MAX_HEADER: usize = 1 << 22;
-/// Most properties of an element.
+/// Maximum number of properties of an element.
 const MAX_PROPERTIES: usize = 1 << 12;
-/// Most bytes after the last element that are passed over: line ends and zeros.
+/// Maximum number of bytes after the last element that are skipped: line ends and zeros.
 const MAX_AFTER: u64 = 16;
 
-/// How numbers are written.
+/// The encoding of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
     Text,
@@ -49,7 +49,7 @@ impl Scalar {
         })
     }
 
-    /// Bytes of one value.
+    /// Returns the bytes per value.
     pub(super) fn bytes(self) -> usize {
         match self {
             Scalar::I8 | Scalar::U8 => 1,
@@ -64,7 +64,7 @@ impl Scalar {
         matches!(self, Scalar::F16 | Scalar::F32 | Scalar::F64)
     }
 
-    /// The number that means 1 in a colour of this type.
+    /// Returns the number that means 1 in a colour of this type.
     pub(super) fn one(self) -> f64 {
         match self {
             Scalar::U8 => 255.0,
@@ -73,7 +73,7 @@ impl Scalar {
         }
     }
 
-    /// The value at the beginning of `bytes`, which has at least [`Scalar::bytes`] bytes.
+    /// Reads the value at the beginning of `bytes`, which has at least [`Scalar::bytes`] bytes.
     pub(super) fn read(self, bytes: &[u8], big: bool) -> f64 {
         macro_rules! number {
             ($kind:ty) => {{
@@ -94,7 +94,7 @@ impl Scalar {
         }
     }
 
-    /// As [`Scalar::read`], in binary32; of a binary32 its bits.
+    /// Reads a value as [`Scalar::read`] does, in binary32; the bits of a binary32 value are unchanged.
     pub(super) fn read_single(self, bytes: &[u8], big: bool) -> f32 {
         match (self, bytes.first_chunk()) {
             (Scalar::F32, Some(bytes)) if big => f32::from_be_bytes(*bytes),
@@ -109,7 +109,7 @@ impl Scalar {
 pub(super) struct Property {
     pub(super) name: String,
     pub(super) scalar: Scalar,
-    /// Bytes of the record before it.
+    /// Byte offset in the record.
     pub(super) start: usize,
 }
 
@@ -122,17 +122,17 @@ pub(super) struct Element {
 }
 
 impl Element {
-    /// The property of this name, and its place among the others.
+    /// Returns the property of this name, and its index.
     pub(super) fn property(&self, name: &str) -> Option<(usize, &Property)> {
         self.properties.iter().enumerate().find(|(_, property)| property.name == name)
     }
 
-    /// Bytes of a record.
+    /// Returns the bytes per record.
     pub(super) fn stride(&self) -> usize {
         self.properties.last().map_or(0, |last| last.start + last.scalar.bytes())
     }
 
-    /// An error that names the element.
+    /// Returns an error that names the element.
     pub(super) fn wrong(&self, expected: impl Into<String>, found: impl Into<String>) -> FormatError {
         FormatError::new(format!("element {}", self.name), expected, found)
     }
@@ -148,7 +148,7 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// The header of a file, and the bytes after it.
+    /// Parses the header of a file; returns it and the bytes after it.
     pub(super) fn read(bytes: &[u8]) -> Result<(Header, &[u8]), FormatError> {
         let mut lines = Lines { rest: &bytes[..bytes.len().min(MAX_HEADER)], read: 0 };
         let first = lines.next()?;
@@ -159,7 +159,7 @@ impl Header {
         let mut elements: Vec<Element> = Vec::new();
         loop {
             let line = lines.next()?;
-            // Comments are in any encoding.
+            // Comments may have any encoding.
             let comment = [&b"comment"[..], b"obj_info"].iter().find_map(|key| line.strip_prefix(*key));
             if let Some(text) = comment.filter(|text| text.first().is_none_or(u8::is_ascii_whitespace)) {
                 comments.push(String::from_utf8_lossy(text).trim().to_owned());
@@ -172,7 +172,7 @@ impl Header {
                 (["end_header"], _) => break,
                 (["format", name, version], _) if encoding.is_none() => encoding = Some(format(name, version)?),
                 (["element", name, count], _) => elements.push(element(name, count, &elements)?),
-                // Without records there are no lists.
+                // Without records, lists take no bytes.
                 (["property", "list", ..], Some(element)) if element.count == 0 => {}
                 (["property", "list", .., name], _) => {
                     return Err(FormatError::new(format!("property {name}"), "a number", "a list"));
@@ -204,26 +204,26 @@ impl Header {
         Ok((header, &bytes[lines.read..]))
     }
 
-    /// The element that holds the Gaussians.
+    /// Returns the element that holds the Gaussians.
     pub(super) fn vertices(&self) -> Result<&Element, FormatError> {
         let missing = || FormatError::new("element vertex", "a line before end_header", "none");
         self.element("vertex").ok_or_else(missing)
     }
 
-    /// The element of this name.
+    /// Returns the element of this name.
     pub(super) fn element(&self, name: &str) -> Option<&Element> {
         self.elements.iter().find(|element| element.name == name)
     }
 
-    /// The bytes of an element in a binary file whose length agrees with the header.
+    /// Returns the bytes of an element in a binary file whose length agrees with the header.
     pub(super) fn bytes<'a>(&self, name: &str, body: &'a [u8]) -> Result<&'a [u8], FormatError> {
         let (place, after) = self.place(name, body.len() as u64)?;
         check_after(&body[body.len() - after..])?;
         Ok(&body[place.start as usize..place.end as usize])
     }
 
-    /// Where they are after the header, in a file that has `length` bytes there; and how many follow the last element,
-    /// for [`check_after`].
+    /// Returns the byte range of an element after the header, in a file with `length` bytes after it, and the number of
+    /// bytes after the last element, for [`check_after`].
     pub(super) fn place(&self, name: &str, length: u64) -> Result<(Range<u64>, usize), FormatError> {
         let (mut at, mut found) = (0_u64, 0..0);
         for element in &self.elements {
@@ -248,7 +248,7 @@ fn more(count: u64) -> FormatError {
     FormatError::new("file", "its end after the last element", format!("{count} more bytes"))
 }
 
-/// An error where bytes after the last element are not line ends or zeros, which editors and copying leave.
+/// Returns an error if the bytes after the last element are not line ends or zeros, which editors and copying append.
 pub(super) fn check_after(bytes: &[u8]) -> Result<(), FormatError> {
     let blank = bytes.iter().all(|b| matches!(b, b'\n' | b'\r' | b' ' | 0));
     if blank { Ok(()) } else { Err(more(bytes.len() as u64)) }
@@ -299,7 +299,7 @@ impl<'a> Lines<'a> {
     }
 }
 
-/// Text as it can be shown in a message of one line.
+/// Quotes text for a message of one line.
 pub(super) fn quoted(text: &str) -> String {
     let short: String = text.chars().take(40).collect();
     format!("{short:?}")

@@ -11,15 +11,18 @@
 //! | `scale_0` … `scale_2` | natural logarithms of standard deviations; without `scale_2`, as of 2D Gaussian splatting, the thickness is 0 |
 //! | `rot_0` … `rot_3` | quaternion, w first |
 //!
-//! Floats have 16, 32 or 64 bits. Centres that are doubles and so far from zero that binary32 would not keep them to
-//! 1/4096 are read relative to a whole number, the scene's offset. Where `f_dc` is absent, `red`, `green` and `blue`
-//! take its place, as floats from 0 to 1 or as numbers of 8 or 16 bits without a sign: `(c − ½) / Y₀`. Other scalar
-//! properties, normals among them, and other elements of scalar properties are left out, as are lists of elements
-//! without records, and up to 16 line ends or zeros after the last element. Comments may be in any encoding;
+//! Floats have 16, 32 or 64 bits. Centres that are doubles, and so far from zero that binary32 would not keep them to
+//! 1/4096, are read relative to an integer, the scene's offset. If `f_dc` is absent, `red`, `green` and `blue` replace
+//! it, as floats from 0 to 1 or as unsigned integers of 8 or 16 bits: `(c − ½) / Y₀`.
+//!
+//! Left out are other scalar properties (for example normals), other elements of scalar properties, lists of elements
+//! without records, and up to 16 line ends or zeros after the last element. Comments may have any encoding;
 //! [`comments`] lists those that are read. The body is binary of either byte order, or text with one record per line.
-//! Files whose vertices are packed into chunks are read by [`packed`]. Anything else is an error that names the
-//! element, the property or the line: a list, a duplicate property, a length that does not match the header. Numbers
-//! that are not finite are kept; [`Still::defect`] finds the Gaussians that cannot be drawn.
+//! Files with vertices packed into chunks are read by [`packed`].
+//!
+//! Anything else is an error that names the element, the property or the line: a list, a duplicate property, a length
+//! that does not match the header. Numbers that are not finite are kept; [`Still::defect`] finds the Gaussians that
+//! cannot be drawn.
 
 mod columns;
 mod comments;
@@ -40,10 +43,10 @@ pub(crate) use comments::written as comments;
 pub(super) use header::MAX_HEADER;
 use header::{Encoding, Header};
 
-/// Bytes in which the header of most files ends.
+/// Number of bytes that contain the header of most files.
 const USUAL_HEADER: u64 = 1 << 16;
 
-/// The Gaussians of a whole PLY file.
+/// Reads the Gaussians of a whole PLY file.
 ///
 /// # Errors
 /// See [`import`](super): expected and found values, with the property's name.
@@ -63,7 +66,7 @@ impl Reader for Ply {
     }
 
     fn read_blocks(&self, file: &mut Blocks<'_>, limits: &Limits) -> Result<Option<Still>, ReadError> {
-        // Longer headers are rare; to read as much of every file would cost time.
+        // Longer headers are rare, and reading that many bytes of every file would cost time.
         let usual = Header::read(file.head(USUAL_HEADER)?).is_ok();
         let head = file.head(if usual { USUAL_HEADER } else { MAX_HEADER as u64 })?;
         let (header, body) = Header::read(head)?;
@@ -88,7 +91,7 @@ impl Reader for Packed {
     }
 }
 
-/// As [`ply`], within other limits.
+/// Reads a file as [`ply`] does, within other limits.
 pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let (header, body) = Header::read(bytes)?;
     match header.encoding {

@@ -3,12 +3,12 @@
 //! | word of a vertex | bits | value |
 //! |---|---|---|
 //! | `packed_position` | 11, 10, 11 | x, y, z between the chunk's `min_x` and `max_x`, … |
-//! | `packed_rotation` | 2, 10, 10, 10 | which of w, x, y, z is largest, and the others in that order: `(b / 1023 − ½)·√2` |
+//! | `packed_rotation` | 2, 10, 10, 10 | index of the largest of w, x, y, z, and the others in that order: `(b / 1023 − ½)·√2` |
 //! | `packed_scale` | 11, 10, 11 | logarithms between `min_scale_x` and `max_scale_x`, … |
-//! | `packed_color` | 8, 8, 8, 8 | red, green and blue, between `min_r` and `max_r`, … where the chunks have them, and opacity |
+//! | `packed_color` | 8, 8, 8, 8 | red, green and blue, between `min_r` and `max_r`, … if the chunks have them, and opacity |
 //!
-//! Fields from the high bits down, `min + (max − min)·b / (2ⁿ − 1)`. A further element `sh` has 9, 24 or 45 bytes per
-//! vertex, in the order of `f_rest`: `8·((b + ½) / 256 − ½)`, with 0 as −4 and 255 as 4.
+//! Fields are listed from the high bits down; a value is `min + (max − min)·b / (2ⁿ − 1)`. An optional element `sh` has
+//! 9, 24 or 45 bytes per vertex, in the order of `f_rest`: `8·((b + ½) / 256 − ½)`, where 0 means −4 and 255 means 4.
 //!
 //! Source: the layout that PlayCanvas's SuperSplat and splat-transform write.
 
@@ -19,7 +19,7 @@ use super::header::{Element, Encoding, Header, Scalar};
 use crate::import::{FormatError, Limits};
 use crate::still::{LEAST, Still};
 
-/// Vertices of a chunk.
+/// Vertices per chunk.
 pub(crate) const CHUNK: usize = 256;
 /// Least and greatest values in a chunk, by axis: of positions, of scales, of colours.
 pub(crate) const BOUNDS: [[[&str; 3]; 2]; 3] = [
@@ -35,7 +35,7 @@ pub(super) fn is_packed(header: &Header) -> bool {
     header.element("chunk").is_some() && header.vertices().is_ok_and(|v| v.property(WORDS[0]).is_some())
 }
 
-/// Offset of a property of one type in a record.
+/// Returns the offset in the record of a property of a given type.
 fn start(element: &Element, name: &str, scalar: Scalar) -> Result<usize, FormatError> {
     match element.property(name) {
         Some((_, property)) if property.scalar == scalar => Ok(property.start),
@@ -47,7 +47,7 @@ fn start(element: &Element, name: &str, scalar: Scalar) -> Result<usize, FormatE
     }
 }
 
-/// The Gaussians of a file.
+/// Reads the Gaussians of a file.
 pub(super) fn read(header: &Header, body: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let vertices = header.vertices()?;
     let Some(chunks) = header.element("chunk") else { return Err(vertices.wrong("chunks before it", "none")) };
@@ -102,7 +102,7 @@ pub(super) fn read(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
     Ok(still)
 }
 
-/// The degree of the harmonics and their bytes.
+/// Returns the degree of the harmonics and their bytes.
 fn harmonics<'a>(header: &Header, body: &'a [u8]) -> Result<(usize, &'a [u8]), FormatError> {
     let Some(sh) = header.element("sh") else { return Ok((0, &[])) };
     let Some(degree) = [0, 9, 24, 45].iter().position(|n| *n == sh.properties.len()) else {
@@ -120,7 +120,7 @@ fn harmonics<'a>(header: &Header, body: &'a [u8]) -> Result<(usize, &'a [u8]), F
     Ok((degree, header.bytes("sh", body)?))
 }
 
-/// The low `bits` bits over the most they can be.
+/// Returns the low `bits` bits divided by their maximum.
 fn share(word: u32, bits: u32) -> f64 {
     let most = (1 << bits) - 1;
     f64::from(word & most) / f64::from(most)

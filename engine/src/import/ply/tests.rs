@@ -24,7 +24,7 @@ fn still(count: usize, degree: usize) -> Still {
     }
 }
 
-/// The same file as text, or with its numbers' bytes turned round.
+/// Rewrites the file as text, or with reversed byte order.
 fn rewritten(file: &[u8], format: &str) -> Vec<u8> {
     let end = file.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
     let header = std::str::from_utf8(&file[..end]).expect("text");
@@ -68,7 +68,7 @@ fn properties_may_stand_in_any_order_and_beside_others() {
     assert!(found.log_scale[0][0].is_nan() && found.log_scale[0][1..] == [8.0, 9.0]);
 }
 
-/// A file of one vertex: properties `x` to `rot_3`, then `more`, with these bytes.
+/// Builds a file of one vertex: properties `x` to `rot_3`, then `more`, with these bytes.
 fn vertex(kind: &str, more: &str, bytes: &[u8]) -> Vec<u8> {
     let names = "x y z opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3";
     let properties: String = names.split(' ').map(|name| format!("property {kind} {name}\n")).collect();
@@ -103,7 +103,7 @@ fn colours_stand_in_for_coefficients_and_elements_beside_vertices_are_passed_ove
         error.starts_with("property red: expected it as a float of 16, 32 or 64 bits, or a number of 8 or 16 bits"),
         "{error}"
     );
-    // Halves hold small whole numbers exactly.
+    // Halves hold small integers exactly.
     let halves: Vec<u8> = (1..=11).flat_map(|i| half::f16::from_f32(i as f32).to_le_bytes()).collect();
     let found = ply(&vertex("half", &colours("uchar"), &[&halves[..], &[0, 51, 255]].concat())).expect("halves");
     assert_eq!((found.mean[0], found.log_scale[0]), ([1.0, 2.0, 3.0], [5.0, 6.0, 7.0]));
@@ -132,7 +132,7 @@ fn every_shorter_and_longer_file_is_an_error() {
             }
         }
         let text = rewritten(&file, "ascii");
-        // Without its last digits and line feed the last number may still be one.
+        // Without the last digits and the line feed, the last number may still be valid.
         let last = text.iter().rposition(|b| *b == b' ').expect("numbers");
         for end in 0..=last {
             assert!(ply(&text[..end]).is_err(), "text {end}");
@@ -203,7 +203,7 @@ fn a_hostile_count_is_refused_before_memory_is_taken() {
             assert!(error.contains("element vertex") && error.contains(count), "{error}");
         }
     }
-    // A header without end.
+    // A header without an end.
     let endless = [b"ply\n".as_slice(), &b"comment x\n".repeat(500_000)].concat();
     assert!(ply(&endless).is_err());
     let wide: String = (0..4097).map(|i| format!("property float p{i}\n")).collect();
@@ -264,7 +264,7 @@ fn a_compressed_file_comes_back_within_its_precision() {
         assert_eq!((found.len(), found.degree, found.uneven()), (600, degree, None));
         let width = 3 * original.rest();
         for i in 0..found.len() {
-            // Scenes of `still` repeat after 101 Gaussians; the nearest is one of the same.
+            // Scenes of `still` repeat after 101 Gaussians; the nearest one is an equal one.
             let distance =
                 |j: usize| (0..3).map(|k| (found.mean[i][k] - original.mean[j][k]).abs()).fold(0.0, f32::max);
             let j = (0..original.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b))).expect("one");
@@ -317,7 +317,7 @@ fn a_wrong_compressed_file_is_named() {
     }
 }
 
-/// A file on disk, read in blocks: the scene, and the reported progress.
+/// Reads a file from disk in blocks; returns the scene and the reported progress.
 fn from_disk(bytes: &[u8], limits: &Limits) -> (Result<StillFile, SceneError>, Vec<(u64, u64)>) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ply");
@@ -370,13 +370,13 @@ fn what_is_wrong_with_a_file_is_said_alike_in_blocks_and_as_a_whole() {
     assert!(found.expect_err("longer").to_string().contains("its end after the last element"));
     let (found, _) = from_disk(&file, &Limits { gaussians: 2, ..Limits::default() });
     assert!(found.expect_err("too many").to_string().contains("at most 2 Gaussians"));
-    // A header that promises more than there is room for.
+    // A header that declares more than fits in memory.
     let text = String::from_utf8_lossy(&file).replace("vertex 3", "vertex 18446744073709551615");
     let (found, _) = from_disk(text.as_bytes(), &Limits::default());
     assert!(found.expect_err("too long").to_string().contains("element vertex"));
 }
 
-/// A header and body with other text in the header.
+/// Replaces text in a file's header.
 fn with_header(file: &[u8], from: &str, to: &[u8]) -> Vec<u8> {
     let at = file.windows(from.len()).position(|w| w == from.as_bytes()).expect(from);
     [&file[..at], to, &file[at + from.len()..]].concat()
@@ -495,7 +495,7 @@ fn doubles_far_from_zero_are_kept_relative_to_an_offset() {
     let file = export::still::ply(&far);
     assert!(String::from_utf8_lossy(&file).contains("property double x\nproperty double y\nproperty double z\n"));
     let found = ply(&file).expect("doubles");
-    // Whole numbers near the middle.
+    // Integers near the middle.
     let place = |still: &Still, i: usize, k: usize| f64::from(still.mean[i][k]) + still.about.offset[k];
     for i in 0..far.len() {
         assert!((0..3).all(|k| (place(&found, i, k) - place(&far, i, k)).abs() < 1e-6), "{i}");
@@ -521,9 +521,9 @@ fn doubles_far_from_zero_are_kept_relative_to_an_offset() {
         assert!(ply(&other) == Ok(found.clone()), "{format}");
     }
     assert!(from_disk(&file, &Limits::default()).0.expect("in blocks").still == found);
-    // It goes out and comes in as it is.
+    // Writing and reading it again changes nothing.
     assert!(ply(&export::still::ply(&found)) == Ok(found.clone()));
-    // Doubles near zero are numbers as all others.
+    // Doubles near zero are read like other numbers.
     far.about.offset = [1.0, 0.0, 0.0];
     let near = ply(&export::still::ply(&far)).expect("doubles");
     assert_eq!((near.about.offset, near.mean[7][0]), ([0.0; 3], (f64::from(far.mean[7][0]) + 1.0) as f32));

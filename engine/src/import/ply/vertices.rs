@@ -8,25 +8,25 @@ use crate::import::blocks::{Blocks, ReadError};
 use crate::import::{FormatError, Limits};
 use crate::still::{Still, middle};
 
-/// Properties of every file, without its colours.
+/// Properties that every file has, except its colours.
 const WANTED: [&str; 11] =
     ["x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
-/// Colours, as the harmonics' first coefficients or as they are seen.
+/// Colours, as the harmonics' first coefficients (`f_dc`) or as red, green and blue.
 const COEFFICIENTS: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
 const COLOURS: [&str; 3] = ["red", "green", "blue"];
 
-/// Centres from here on are not kept to 1/4096 by binary32.
+/// Binary32 does not keep centres of this size or more to 1/4096.
 const NEAR: f64 = 4096.0;
 /// Bytes of a block.
 const BLOCK: usize = 8 << 20;
-/// Vertices of a task.
+/// Vertices per task.
 const PIECE: usize = 1 << 12;
 
-/// Places of the wanted values among the properties.
+/// Indices of the required values among the properties.
 struct Layout {
     /// [`WANTED`], then the colours, then `f_rest`.
     places: Vec<usize>,
-    /// Values of full intensity per channel, where the file has colours instead of coefficients.
+    /// Values of full intensity per channel, if the file has colours instead of coefficients.
     ones: Option<[f64; 3]>,
     /// Degree of the harmonics that are kept.
     degree: usize,
@@ -34,7 +34,7 @@ struct Layout {
     stored: usize,
     /// True for Gaussians without a third scale, which have no thickness.
     flat: bool,
-    /// True where centres are doubles.
+    /// True if centres are doubles.
     doubles: bool,
 }
 
@@ -50,7 +50,7 @@ impl Layout {
         let seen = vertices.property(COEFFICIENTS[0]).is_none() && vertices.property(COLOURS[0]).is_some();
         let colours = if seen { COLOURS } else { COEFFICIENTS };
         let names = WANTED.iter().chain(&colours).map(|name| match *name {
-            // Any number: it is not used.
+            // Any property: its value is not used.
             "scale_2" if flat => "scale_1".to_owned(),
             name => name.to_owned(),
         });
@@ -72,7 +72,7 @@ impl Layout {
         Ok(Layout { ones: seen.then(|| std::array::from_fn(one)), degree, stored, flat, doubles, places })
     }
 
-    /// A scene of `count` zeroed Gaussians, with the metadata of the header.
+    /// Returns a scene of `count` zeroed Gaussians, with the metadata of the header.
     fn scene(&self, header: &Header, count: usize) -> Still {
         let mut still = Still::zeros(count, self.degree);
         super::comments::read(&header.comments, &mut still.about);
@@ -87,8 +87,8 @@ impl Layout {
     }
 }
 
-/// Whole numbers to take off doubles so that binary32 keeps them to 1/4096; zeros where it does so anyway. The median
-/// of some centres.
+/// Returns the integers to subtract from doubles so that binary32 keeps them to 1/4096: the median of some centres.
+/// Zeros if binary32 is precise enough anyway.
 fn offset_of(centres: &[[f64; 3]]) -> [f64; 3] {
     let along =
         |axis: usize| centres.iter().filter(|m| m.iter().all(|x| x.is_finite())).map(|m| m[axis] as f32).collect();
@@ -96,7 +96,7 @@ fn offset_of(centres: &[[f64; 3]]) -> [f64; 3] {
     if offset.iter().any(|x| x.abs() >= NEAR) { offset } else { [0.0; 3] }
 }
 
-/// Vertices as bytes, one after another.
+/// Reads vertices stored as bytes.
 pub(super) fn binary(header: &Header, body: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let vertices = header.vertices()?;
     let layout = Layout::of(vertices)?;
@@ -118,7 +118,7 @@ pub(super) fn blocks(header: &Header, start: u64, file: &mut Blocks<'_>, limits:
     limits.check_still("element vertex", vertices.count, layout.degree, file.length())?;
     let mut still = layout.scene(header, vertices.count);
     file.pass(start + place.start)?;
-    // Vertices of a block, and those that are not read yet.
+    // Vertices per block, and vertices that are not read yet.
     let stride = vertices.stride();
     let (most, mut left) = ((BLOCK / stride).max(PIECE), vertices.count);
     let mut next = |block: &mut Vec<u8>| {
@@ -145,19 +145,19 @@ pub(super) fn blocks(header: &Header, start: u64, file: &mut Blocks<'_>, limits:
     Ok(still)
 }
 
-/// How the records of a binary file are read.
+/// Layout of the records of a binary file.
 struct Records<'a> {
     layout: &'a Layout,
-    /// Offset in a record and type of the wanted values, in the order of [`Layout::places`].
+    /// Offset in a record and type of the required values, in the order of [`Layout::places`].
     wanted: Vec<(usize, Scalar)>,
     big: bool,
     stride: usize,
-    /// Taken off the centres.
+    /// Subtracted from the centres.
     offset: [f64; 3],
 }
 
 impl<'a> Records<'a> {
-    /// For a file whose vertices begin with those of `first`.
+    /// Returns the layout for a file whose first vertices are those in `first`.
     fn new(layout: &'a Layout, header: &Header, vertices: &Element, first: &[u8]) -> Self {
         let wanted = layout.places.iter().map(|&place| &vertices.properties[place]).map(|p| (p.start, p.scalar));
         let (wanted, big): (Vec<_>, bool) = (wanted.collect(), header.encoding == Encoding::Big);
@@ -171,7 +171,7 @@ impl<'a> Records<'a> {
         Self { layout, wanted, big, stride, offset }
     }
 
-    /// Reads records into as many rows.
+    /// Reads records into the same number of rows.
     fn read(&self, bytes: &[u8], mut rows: Rows<'_>) {
         let pieces: Vec<_> =
             bytes.chunks(PIECE * self.stride).map(|bytes| (bytes, rows.take(bytes.len() / self.stride))).collect();
@@ -195,12 +195,12 @@ impl<'a> Records<'a> {
     }
 }
 
-/// Elements as lines of numbers.
+/// Reads vertices stored as lines of numbers.
 pub(super) fn text(header: &Header, body: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let wrong = |part: String, expected: &str, found: &str| FormatError::new(part, expected, quoted(found));
     let vertices = header.vertices()?;
     let layout = Layout::of(vertices)?;
-    // A number and what parts it from the next are two bytes at least; the last needs no line feed.
+    // A number and its separator are at least two bytes; the last one needs no line feed.
     let mut least = 0_usize;
     for element in &header.elements {
         let size = element.count.checked_mul(2 * element.properties.len());
@@ -228,7 +228,7 @@ pub(super) fn text(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
                 *value = word.parse().map_err(|_| wrong(part(), "a number", word))?;
             }
             if layout.doubles && element.name == vertices.name {
-                // Numbers they are; these as doubles.
+                // The values are valid numbers; these are read as doubles.
                 let double =
                     |k: usize| line.split_ascii_whitespace().nth(layout.places[k]).and_then(|word| word.parse().ok());
                 centres.push(std::array::from_fn(|k| double(k).unwrap_or(f64::NAN)));
@@ -254,7 +254,7 @@ pub(super) fn text(header: &Header, body: &[u8], limits: &Limits) -> Result<Stil
     }
 }
 
-/// Gaussians of a scene that are being filled, one after another.
+/// Gaussians of a scene that are being filled, in order.
 struct Rows<'a> {
     mean: &'a mut [[f32; 3]],
     log_scale: &'a mut [[f32; 3]],
@@ -266,7 +266,7 @@ struct Rows<'a> {
     rest: usize,
 }
 
-/// The first `count` of some elements, which are taken off.
+/// Splits off the first `count` elements.
 fn first<'a, T>(all: &mut &'a mut [T], count: usize) -> &'a mut [T] {
     let (first, rest) = std::mem::take(all).split_at_mut(count);
     *all = rest;
@@ -287,7 +287,7 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// Takes off the first `count` Gaussians.
+    /// Splits off the first `count` Gaussians.
     fn take(&mut self, count: usize) -> Rows<'a> {
         Rows {
             mean: first(&mut self.mean, count),

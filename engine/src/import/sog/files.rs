@@ -33,7 +33,7 @@ impl<'a> Files<'a> {
         }
     }
 
-    /// Size of the scene in bytes: of the zip file, or of `meta.json` and its images.
+    /// Returns the size of the scene in bytes: of the zip file, or of `meta.json` and its images.
     pub(super) fn size<'n>(&self, images: impl Iterator<Item = &'n str>) -> u64 {
         match self {
             Files::Zip(_, size) => *size,
@@ -41,7 +41,7 @@ impl<'a> Files<'a> {
         }
     }
 
-    /// A file of at most `most` bytes.
+    /// Reads a file of at most `most` bytes.
     pub(super) fn read(&mut self, name: &str, most: u64) -> Result<Vec<u8>, FormatError> {
         match self {
             Files::Beside(_, beside) => beside.read(name, most),
@@ -49,7 +49,7 @@ impl<'a> Files<'a> {
                 let broken = |e: String| FormatError::new(name.to_owned(), "a file in the zip file", e);
                 let file = archive.by_name(name).map_err(|e| broken(e.to_string()))?;
                 let mut bytes = Vec::new();
-                // Memory grows with the bytes read, independent of the declared length.
+                // Memory grows with the bytes read, whatever length is declared.
                 file.take(most + 1).read_to_end(&mut bytes).map_err(|e| broken(e.to_string()))?;
                 if bytes.len() as u64 > most {
                     Err(broken(format!("one of more than {most} bytes")))

@@ -23,10 +23,10 @@ pub(super) struct Meta {
     pub(super) sh0: Coded,
     #[serde(rename = "shN")]
     pub(super) harmonics: Option<Harmonics>,
-    /// How the scene was trained.
+    /// Kind of the scene's training.
     #[serde(default)]
     pub(super) model: Option<Value>,
-    /// The origin of the coordinates, where this program wrote one.
+    /// The origin of the coordinates, if this program wrote one.
     #[serde(default)]
     pub(super) offset: Option<[f64; 3]>,
 }
@@ -53,12 +53,12 @@ pub(super) struct Coded {
 }
 
 impl Coded {
-    /// The value of a byte of a channel.
+    /// Returns the value of a byte of a channel.
     pub(super) fn value(&self, channel: usize, byte: u8) -> f32 {
         self.tables[channel.min(self.tables.len() - 1)][usize::from(byte)]
     }
 
-    /// The value of an alpha, where it has a table of its own.
+    /// Returns the value of an alpha, if it has a table of its own.
     pub(super) fn alpha(&self, byte: u8) -> Option<f32> {
         self.tables.get(3).map(|table| table[usize::from(byte)])
     }
@@ -66,7 +66,7 @@ impl Coded {
 
 #[derive(Debug, Deserialize)]
 pub(super) struct Harmonics {
-    /// Number of rows. 0 in version 1, which derives it from the size of the image.
+    /// Number of rows; 0 in version 1, which derives it from the size of the image.
     pub(super) count: usize,
     /// Degree; 0 in version 1.
     pub(super) bands: usize,
@@ -76,7 +76,7 @@ pub(super) struct Harmonics {
 }
 
 impl Harmonics {
-    /// The coefficient of a byte.
+    /// Returns the coefficient of a byte.
     pub(super) fn value(&self, byte: u8) -> f32 {
         self.tables[0][usize::from(byte)]
     }
@@ -89,7 +89,8 @@ fn codebook<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Vec<Table>, D::
     Ok(vec![values.try_into().map_err(|_| wrong())?])
 }
 
-/// Version 1, which has no number: bytes lie evenly between the least and the greatest value of their channel.
+/// Version 1, which has no version number: bytes are spaced evenly between the least and the greatest value of their
+/// channel.
 #[derive(Debug, Deserialize)]
 struct First {
     means: FirstMeans,
@@ -181,19 +182,19 @@ impl Meta {
         Ok(meta)
     }
 
-    /// The names of all images.
+    /// Iterates over the names of all images.
     pub(super) fn images(&self) -> impl Iterator<Item = &str> {
         let harmonics = self.harmonics.iter().flat_map(|harmonics| &harmonics.files);
         let others = [&self.scales.files[0], &self.quats.files[0], &self.sh0.files[0]];
         self.means.files.iter().chain(others).chain(harmonics).map(String::as_str)
     }
 
-    /// Degree of the harmonics, or [`MAX_DEGREE`] in version 1, where it follows from the size of an image.
+    /// Returns the degree of the harmonics, or [`MAX_DEGREE`] in version 1, where it follows from the size of an image.
     pub(super) fn most_degree(&self) -> usize {
         self.harmonics.as_ref().map_or(0, |own| if own.bands == 0 { MAX_DEGREE } else { own.bands })
     }
 
-    /// Metadata of the scene.
+    /// Returns the metadata of the scene.
     pub(super) fn about(&self) -> About {
         let model = self.model.as_ref().map(|model| model.as_str().unwrap_or("?"));
         let notes = match model {

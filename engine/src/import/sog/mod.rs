@@ -15,8 +15,8 @@
 //! | | centroids: red, green, blue | `cb[N]`; coefficient k of row r in column `(r mod 64)·K + k` of line `⌊r / 64⌋`, for the K of the degree |
 //!
 //! `"model": "antialiased"` in `meta.json` marks scenes trained with anti-aliasing; this program adds the scene's
-//! `offset`. Version 1 has no number, and a least and a greatest value per channel instead of codebooks, between which
-//! bytes lie evenly; its opacities are logits.
+//! `offset`. Version 1 has no version number. Instead of codebooks it has a least and a greatest value per channel,
+//! between which bytes are spaced evenly; its opacities are logits.
 //!
 //! Source: PlayCanvas, the SOG format's description.
 
@@ -41,7 +41,7 @@ use meta::Meta;
 
 /// First bytes of a zip file.
 pub(super) const MAGIC: [u8; 4] = *b"PK\x03\x04";
-/// Rows of coefficients in a line of the centroids' image.
+/// Rows of coefficients per line of the centroids' image.
 pub(crate) const ROWS: usize = 64;
 /// The alpha of a rotation whose first component is the largest.
 pub(crate) const LARGEST: u8 = 252;
@@ -49,7 +49,7 @@ pub(crate) const LARGEST: u8 = 252;
 /// The model of scenes trained with anti-aliasing.
 pub(crate) const MODEL: &str = "antialiased";
 
-/// The Gaussians of a whole `.sog` file.
+/// Reads the Gaussians of a whole `.sog` file.
 ///
 /// # Errors
 /// Returns a [`FormatError`] with the name of the part and the expected and found values.
@@ -70,7 +70,7 @@ impl Reader for Sog {
     }
 }
 
-/// As [`sog`], also for a `meta.json`, with images read through `beside`.
+/// Reads a scene as [`sog`] does, also from a `meta.json`, with images read through `beside`.
 pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<Still, FormatError> {
     let mut files = Files::new(bytes, beside)?;
     let meta = Meta::read(&files.meta()?)?;
@@ -97,7 +97,7 @@ pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<S
             let share = f64::from(u16::from_le_bytes([low[axis], high[axis]])) / 65535.0;
             let (least, greatest) = (meta.means.mins[axis], meta.means.maxs[axis]);
             let m = least + (greatest - least) * share;
-            // Beyond, a centre is infinite in binary32.
+            // Above 100, a centre would be infinite in binary32.
             let size = exp(m.abs().min(100.0)) - 1.0;
             (if m < 0.0 { -size } else { size }) as f32
         }));
@@ -137,7 +137,7 @@ pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<S
     Ok(still)
 }
 
-/// Degree of the harmonics in version 1, from the width of the centroids' image.
+/// Returns the degree of the harmonics in version 1, from the width of the centroids' image.
 fn degree_of_width(image: &RgbaImage, name: &str) -> Result<usize, FormatError> {
     (1..=3).find(|degree| image.width() as usize == ROWS * rest(*degree)).ok_or_else(|| {
         FormatError::new(name.to_owned(), "an image 192, 512 or 960 pixels wide", image.width().to_string())
@@ -148,13 +148,13 @@ fn pixel(image: &RgbaImage, column: usize, row: usize) -> [u8; 4] {
     image.get_pixel(column as u32, row as u32).0
 }
 
-/// Most pixels of an image that needs `least`: twice as many. `least` is 0 for centroids of unknown number:
-/// at most 65,536 rows of 15.
+/// Returns the maximum number of pixels of an image that needs `least`: twice as many, and at least 65,536. `least` is
+/// 0 for centroids of unknown number: at most 65,536 rows of 15.
 fn most(least: usize) -> usize {
     if least == 0 { 1 << 20 } else { least.saturating_mul(2).max(1 << 16) }
 }
 
-/// An image of at least `least` pixels, and of not many more.
+/// Decodes an image of at least `least` pixels, and of at most [`most`].
 fn image(bytes: &[u8], name: &str, least: usize) -> Result<RgbaImage, FormatError> {
     let broken = |e: image::ImageError| FormatError::new(name.to_owned(), "a WebP image", e.to_string());
     let decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(broken)?;

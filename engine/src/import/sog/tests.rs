@@ -46,7 +46,7 @@ fn a_scene_comes_back_within_its_precision() {
             assert!(close(&found.base[i], &still.base[j], 0.01));
             let opacity = |x: f32| 1.0 / (1.0 + (-x).exp());
             assert!((opacity(found.logit[i]) - opacity(still.logit[j])).abs() < 0.5 / 255.0 + 1e-6);
-            // Few enough that each has a row of its own.
+            // Few enough Gaussians that each has its own row.
             assert!(close(&found.higher[i * width..][..width], &still.higher[j * width..][..width], 0.01));
             let q = still.rotation[j].map(f64::from);
             let length = q.iter().map(|c| c * c).sum::<f64>().sqrt();
@@ -58,7 +58,7 @@ fn a_scene_comes_back_within_its_precision() {
     assert!(none.is_empty());
 }
 
-/// The files of a `.sog` file.
+/// Unpacks the files of a `.sog` file.
 fn files(file: &[u8]) -> Vec<(String, Vec<u8>)> {
     let mut archive = zip::ZipArchive::new(Cursor::new(file)).expect("a zip file");
     (0..archive.len())

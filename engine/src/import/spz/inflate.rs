@@ -1,4 +1,4 @@
-//! Compressed bytes of known length.
+//! Decompression of data of known length.
 
 use std::io::Read;
 
@@ -8,7 +8,7 @@ use ruzstd::decoding::FrameDecoder;
 use super::records::Stated;
 use crate::import::FormatError;
 
-/// The largest window of a zstd frame that holds less.
+/// Maximum window of a zstd frame with less content than that.
 const WINDOW: u64 = 1 << 23;
 
 /// Decompresses a gzip stream. `read` parses the first `head` bytes and returns the header, the number of bytes that
@@ -29,7 +29,7 @@ pub(super) fn gunzip<H>(
     }
     let (header, size, more) = read(&first)?;
     let mut rest = Vec::new();
-    // Grows with the data, so that a false length in the header allocates no memory.
+    // The buffer grows with the data, so that a false length in the header allocates no memory.
     decoder.by_ref().take((size + more) as u64 + 1).read_to_end(&mut rest).map_err(broken)?;
     if rest.len() < size || rest.len() > size + more {
         let found = if rest.len() > size { "more".to_owned() } else { rest.len().to_string() };

@@ -7,17 +7,17 @@
 //! | alphas | 1 | 255 times the opacity |
 //! | colours | 3 | `255·(0.15·c + ½)` of the harmonics' first coefficients |
 //! | scales | 3 | `16·(ln s + 10)` |
-//! | rotations | 4 (3 before version 3) | the three smallest components in ten bits each, and which is the largest (x, y and z in eight bits each) |
+//! | rotations | 4 (3 before version 3) | the three smallest components in ten bits each, and the index of the largest (x, y and z in eight bits each) |
 //! | harmonics | 9, 24, 45 or 72 | `128·(c + 1)`, coefficients outermost; of degree 4 those up to degree 3 are kept |
 //!
-//! Opacities of 0 and 255 stay within 10⁻¹² of 0 and 1. Version 1 has the rotations of version 2 and positions of three
-//! binary16, or of fixed point: @adobe/spz writes such files. The length of the file decides between them.
+//! Opacities of 0 and 255 stay within 10⁻¹² of 0 and 1. Version 1 has the rotations of version 2. Its positions are
+//! three binary16, or fixed point, as written by @adobe/spz; the length of the file decides between them.
 //!
 //! [`records`] declare the axes of the numbers. The default is RUB (x right, y up, z back), as in the format's
 //! description; programs that store PLY's numbers unchanged write RDF. [`Still::taken_along`] overrides the axes.
 //!
-//! Refused: harmonics above degree 4, flags but those of anti-aliasing and of extensions, lengths that do not fit each
-//! other.
+//! These are errors: harmonics above degree 4, flags other than those of anti-aliasing and of extensions, and
+//! inconsistent lengths.
 //!
 //! Source: the format's description and its reference implementation, nianticlabs/spz.
 
@@ -42,14 +42,14 @@ use records::Stated;
 
 /// "NGSP"
 pub(crate) const MAGIC: [u8; 4] = *b"NGSP";
-/// Bytes of the header before version 4, and in it.
+/// Bytes of the header before version 4, and in version 4.
 const OLD_HEADER: usize = 16;
 pub(crate) const HEADER: usize = 32;
 /// The flag of scenes trained with anti-aliasing.
 pub(crate) const ANTIALIASED: u8 = 1;
 /// The flag of files with extension records.
 pub(crate) const EXTENDED: u8 = 2;
-/// Most bytes of extension records that are read from a gzip stream.
+/// Maximum bytes of extension records that are read from a gzip stream.
 const MAX_RECORDS: usize = 1 << 20;
 /// The highest degree of harmonics that a file may have.
 const MOST_DEGREE: u32 = 4;
@@ -65,7 +65,7 @@ struct Header {
     degree: usize,
     fractional_bits: u32,
     flags: u8,
-    /// Bytes of a position.
+    /// Bytes per position.
     position: usize,
 }
 
@@ -82,7 +82,7 @@ struct Packed {
 }
 
 impl Header {
-    /// The fields that all versions have, of a file of `size` bytes.
+    /// Parses the fields that all versions have, of a file of `size` bytes.
     fn read(bytes: &[u8], versions: [u32; 2], size: usize, limits: &Limits) -> Result<Header, FormatError> {
         let word = |at: usize| bytes[at..].first_chunk().map_or(0, |b| u32::from_le_bytes(*b));
         let wrong = |part: &str, expected: &str, found: u32| {
@@ -115,12 +115,12 @@ impl Header {
         Ok(header)
     }
 
-    /// Bytes of all attributes.
+    /// Returns the bytes of all attributes.
     fn size(&self) -> usize {
         self.sizes().iter().map(|(_, size)| size).sum()
     }
 
-    /// Bytes of each attribute, in the order they are stored in.
+    /// Returns the bytes of each attribute, in the order in which they are stored.
     fn sizes(&self) -> [(&'static str, usize); 6] {
         let rotation = if self.version < 3 { 3 } else { 4 };
         let harmonics = 3 * streamsplat_kernels::harmonics::rest(self.degree);
@@ -136,7 +136,7 @@ impl Header {
     }
 }
 
-/// The Gaussians of a whole SPZ file.
+/// Reads the Gaussians of a whole SPZ file.
 ///
 /// # Errors
 /// Returns a [`FormatError`] with the name of the part and the expected and found values.
@@ -156,7 +156,7 @@ impl Reader for Spz {
     }
 }
 
-/// As [`spz`], within other limits.
+/// Reads a file as [`spz`] does, within other limits.
 pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError> {
     let packed = if bytes.starts_with(&[0x1f, 0x8b]) { old(bytes, limits)? } else { current(bytes, limits)? };
     let mut still = unpack::unpack(&packed);
@@ -171,7 +171,7 @@ pub(super) fn within(bytes: &[u8], limits: &Limits) -> Result<Still, FormatError
     Ok(still)
 }
 
-/// Number of Gaussians in a file's header, and the degree to which their harmonics are read.
+/// Returns the number of Gaussians in a file's header, and the degree to which their harmonics are read.
 pub(super) fn gaussians(bytes: &[u8]) -> Option<(usize, usize)> {
     let mut head = [0; OLD_HEADER];
     let mut unzipped = GzDecoder::new(bytes);
@@ -181,7 +181,7 @@ pub(super) fn gaussians(bytes: &[u8]) -> Option<(usize, usize)> {
     Some((count as usize, usize::from(head[12]).min(MAX_DEGREE)))
 }
 
-/// Versions 1 to 3.
+/// Reads versions 1 to 3.
 fn old(bytes: &[u8], limits: &Limits) -> Result<Packed, FormatError> {
     let mut stated = Stated::default();
     let (mut header, rest) = gunzip(bytes, OLD_HEADER, &mut stated, |head| {
@@ -206,7 +206,7 @@ fn old(bytes: &[u8], limits: &Limits) -> Result<Packed, FormatError> {
     }
     let mut rest = rest.as_slice();
     let attributes = header.sizes().map(|(_, size)| {
-        // Not longer than their sum.
+        // `size` is not more than the rest: the sum was checked.
         let (attribute, after) = rest.split_at(size);
         rest = after;
         attribute.to_vec()
@@ -215,7 +215,7 @@ fn old(bytes: &[u8], limits: &Limits) -> Result<Packed, FormatError> {
     Ok(Packed::of(header, stated, attributes))
 }
 
-/// Version 4.
+/// Reads version 4.
 fn current(bytes: &[u8], limits: &Limits) -> Result<Packed, FormatError> {
     let wrong = |part: &str, expected: String, found: String| Err(FormatError::new(part, expected, found));
     if bytes.len() < HEADER {
@@ -247,7 +247,7 @@ fn current(bytes: &[u8], limits: &Limits) -> Result<Packed, FormatError> {
     let mut entries = table.chunks_exact(16);
     let mut attributes: [Vec<u8>; 6] = Default::default();
     for ((name, size), attribute) in sizes.into_iter().zip(&mut attributes).filter(|((_, size), _)| *size > 0) {
-        // One for each that is not empty.
+        // There is an entry for each attribute that is not empty.
         let entry = entries.next().unwrap_or(&[0; 16]);
         let [compressed, whole] = [0, 8].map(|at| entry[at..].first_chunk().map_or(0, |b| u64::from_le_bytes(*b)));
         if whole != size as u64 {

@@ -9,8 +9,8 @@
 //! | `0xADBE0003` | the axes of all numbers, u32: 1 LDB, 2 RDB, 3 LUB, 4 RUB, 5 LDF, 6 RDF, 7 LUF, 8 RUF, 9 LFD, 10 RFD, 11 LFU, 12 RFU, 13 LBD, 14 RBD, 15 LBU, 16 RBU |
 //! | `0x53530001` | the scene's offset: three binary64 (written by this program) |
 //!
-//! Before version 4, other programs do not skip records. Those versions store axes and offset as text in the comment of
-//! the gzip stream, which decompressors ignore: `axes RDF` and `offset X Y Z`.
+//! Other programs do not skip records before version 4. Files of those versions store axes and offset as text in the
+//! comment of the gzip stream, which decompressors ignore: `axes RDF` and `offset X Y Z`.
 
 use crate::import::FormatError;
 use crate::still::{About, Axes, Orbit};
@@ -25,12 +25,12 @@ pub(crate) struct Stated {
     pub(crate) axes: Option<Axes>,
     pub(crate) offset: [f64; 3],
     pub(crate) orbit: Option<Orbit>,
-    /// Lines about records that are left out.
+    /// Notes on records that are left out.
     pub(crate) notes: Vec<String>,
 }
 
 impl Stated {
-    /// Metadata for a scene of this program, whose numbers are written unchanged.
+    /// Returns the metadata for a scene of this program, whose numbers are written unchanged.
     pub(crate) fn of(about: &About) -> Stated {
         Stated { axes: Some(Axes::RDF), offset: about.offset, orbit: about.orbit, notes: Vec::new() }
     }
@@ -69,7 +69,7 @@ impl Stated {
                 let code = payload.first_chunk().map_or(0, |b| u32::from_le_bytes(*b));
                 match Axes::of_code(code) {
                     Some(axes) => self.axes = Some(axes),
-                    // Not specified.
+                    // No axes are specified.
                     None if code == 0 => {}
                     None => return wrong("axes from 1 to 16", code.to_string()),
                 }
@@ -119,7 +119,7 @@ impl Stated {
         }
     }
 
-    /// Axes and offset as the comment of a gzip stream.
+    /// Formats axes and offset as the comment of a gzip stream.
     pub(crate) fn as_comment(&self) -> String {
         let axes = self.axes.map_or_else(String::new, |axes| format!("axes {axes}"));
         match self.offset {
@@ -128,7 +128,7 @@ impl Stated {
         }
     }
 
-    /// The metadata as extension records.
+    /// Formats the metadata as extension records.
     pub(crate) fn as_records(&self) -> Vec<u8> {
         let mut out = Vec::new();
         let mut record = |kind: u32, payload: &[u8]| {

@@ -24,12 +24,12 @@ fn still(count: usize, degree: usize) -> Still {
     }
 }
 
-/// A scene as a file of version 4.
+/// Writes a scene as a file of version 4.
 fn newest(still: &Still) -> Vec<u8> {
     export::written::spz(still, SpzVersion::V4).bytes
 }
 
-/// The same scene in version 2 or 3.
+/// Writes the same scene in version 2 or 3.
 fn old(still: &Still, version: u32) -> Vec<u8> {
     let file = newest(still);
     let packed = super::current(&file, &Limits::default()).expect("just written");
@@ -64,7 +64,7 @@ fn gunzipped(file: &[u8]) -> Vec<u8> {
     plain
 }
 
-/// A file of version 3 with coefficients of degree 4 behind those of degree 3.
+/// Builds a file of version 3 with coefficients of degree 4 after those of degree 3.
 fn of_degree_4(still: &Still) -> Vec<u8> {
     let plain = gunzipped(&old(still, 3));
     let before = plain.len() - 45 * still.len();
@@ -194,7 +194,7 @@ proptest! {
     }
 }
 
-/// A file of version 4 with other records.
+/// Builds a file of version 4 with other records.
 fn with_records(file: &[u8], records: &[u8]) -> Vec<u8> {
     let table = u32::from_le_bytes(file[16..20].try_into().expect("four bytes")) as usize;
     let mut head = file[..32].to_vec();
@@ -319,19 +319,19 @@ fn a_floater_costs_no_one_elses_precision_and_is_told() {
 
 #[test]
 fn a_wide_scene_is_not_cut_off_and_a_map_is_written_around_its_middle() {
-    // A tenth lies at 3000 units, as a sky does.
+    // A tenth of the Gaussians is at 3000 units, like a sky.
     let mut wide = still(400, 0);
     wide.mean.iter_mut().step_by(10).for_each(|m| m[2] = 3000.0);
     let written = export::written::spz(&wide, SpzVersion::V3);
     assert_eq!(written.notes, ["positions to 1/2048 unit, as the scene reaches farther than 2048 units"]);
     let found = spz(&written.bytes).expect("just written");
     assert!((0..400).all(|i| (0..3).all(|k| (found.mean[i][k] - wide.mean[i][k]).abs() <= 0.501 / 2048.0)));
-    // One Gaussian far away is no floater.
+    // A single Gaussian far away does not count as a stray one.
     let mut alone = still(1, 0);
     alone.mean[0] = [5000.0, -7.0, 1.0];
     let found = spz(&export::still::spz(&alone)).expect("just written");
     assert_eq!((found.mean[0], found.about.offset), ([5000.0, -7.0, 1.0], [0.0; 3]));
-    // Coordinates of a map in binary32: relative ones are finer than SPZ's own would be.
+    // Map coordinates in binary32: relative ones are more precise than SPZ's own would be.
     let mut map = still(400, 0);
     map.mean.iter_mut().for_each(|m| *m = [m[0] + 431_250.0, m[1] + 411_800.0, m[2] + 312.0]);
     let written = export::written::spz(&map, SpzVersion::V3);

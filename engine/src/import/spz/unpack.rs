@@ -1,4 +1,4 @@
-//! From SPZ's bytes to numbers.
+//! Conversion of SPZ's bytes to numbers.
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -9,7 +9,7 @@ use super::{Header, Packed};
 use crate::export::spz::COLOUR;
 use crate::still::{LEAST, Still};
 
-/// The scene, along the file's own axes. Values are formed in binary64 and rounded once.
+/// Unpacks the scene, along the file's own axes. Values are computed in binary64 and rounded once.
 pub(super) fn unpack(packed: &Packed) -> Still {
     let Header { version, degree, fractional_bits, position, .. } = packed.header;
     let triples = |bytes: &[u8], value: &dyn Fn(u8) -> f32| -> Vec<[f32; 3]> {
@@ -46,15 +46,15 @@ pub(super) fn unpack(packed: &Packed) -> Still {
     }
 }
 
-/// x, y and z of versions 1 and 2.
+/// Unpacks x, y and z of versions 1 and 2.
 fn first_three(bytes: [u8; 3]) -> [f32; 4] {
     let [x, y, z] = bytes.map(|b| f64::from(b) / 127.5 - 1.0);
     let w = (1.0 - (x * x + y * y + z * z)).max(0.0).sqrt();
     [w, x, y, z].map(|c| c as f32)
 }
 
-/// The three smallest components of x, y, z, w, in ascending order from the high bits, each a sign and nine bits; the
-/// number of the largest above.
+/// Unpacks the three smallest components of x, y, z, w: in ascending order from the high bits, each a sign and nine
+/// bits. The index of the largest is above them.
 fn smallest_three(mut bits: u32) -> [f32; 4] {
     let largest = (bits >> 30) as usize;
     let (mut q, mut squares) = ([0.0; 4], 0.0);

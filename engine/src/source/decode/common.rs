@@ -1,4 +1,4 @@
-//! PNG, BMP, WebP, PNM and QOI by their content; TGA, which has no signature, by its name.
+//! PNG, BMP, WebP, PNM and QOI, recognised by content; TGA, which has no signature, by its file name.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -18,12 +18,12 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Still, SourceError> {
     Ok(still)
 }
 
-/// The samples as they are stored.
+/// Decodes the samples as they are stored.
 pub(crate) fn decode_dynamic(bytes: &[u8], path: &Path) -> Result<DynamicImage, SourceError> {
     Ok(read(bytes, path)?.image)
 }
 
-/// Limits for a decoder.
+/// Returns the limits for a decoder.
 pub(super) fn limits() -> Limits {
     let mut limits = Limits::default();
     limits.max_image_width = Some(MAX_SIDE as u32);
@@ -99,7 +99,7 @@ pub(crate) fn png_can_hold(bytes: &[u8], width: u64, height: u64) -> bool {
     width * u64::from(depth) * channels / 8 * height <= DEFLATE * bytes.len() as u64
 }
 
-/// A picture of samples as the image crate has them.
+/// Converts the image crate's samples to a picture.
 pub(super) fn from_dynamic(image: &DynamicImage, path: &Path) -> Result<Still, SourceError> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let eight = |v: &u8| f32::from(*v) / 255.0;

@@ -1,7 +1,7 @@
 //! Files with several frames: animated PNG and WebP, and TIFF with several pages.
 //!
-//! Frames of an animation have the durations stored in the file. The decoder composites each frame over those before
-//! it, so that each is a whole picture. A frame with a duration of zero is shown for a tenth of a second, as in
+//! Frames of an animation have the durations stored in the file. The decoder composites each frame over the previous
+//! ones, so that each is a whole picture. A frame with a duration of zero is shown for a tenth of a second, as in
 //! browsers. Pages have no times.
 
 use std::io::{BufRead, Cursor, Seek};
@@ -18,17 +18,17 @@ use crate::source::SourceError;
 
 /// Kind of a file with several frames.
 pub(crate) enum Several {
-    /// An animation, with how long each frame is shown, in seconds as a fraction.
+    /// An animation: the duration of each frame, in seconds as a fraction.
     Animation(ImageFormat, Vec<(u32, u32)>),
-    /// Places of the pages of a TIFF file that are pictures of their own.
+    /// Indices of a TIFF file's pages, without reduced copies and masks.
     Pages(Vec<usize>),
 }
 
 impl Several {
-    /// Kind of the file; `None` for one picture.
+    /// Detects the kind of the file; `None` for a single picture.
     ///
     /// # Errors
-    /// A file that promises other frames than it has.
+    /// A file whose number of frames differs from the one it declares.
     pub(crate) fn of(bytes: &[u8], path: &Path) -> Result<Option<Several>, SourceError> {
         if bytes.starts_with(b"\x89PNG\r\n\x1a\n") {
             let delays = png::delays(bytes).map_err(|cause| decode_error(path, cause))?;
@@ -44,7 +44,7 @@ impl Several {
         Ok(None)
     }
 
-    /// The refusal where one picture is expected.
+    /// Returns the error for a place where one picture is expected.
     pub(super) fn refusal(&self, path: &Path) -> SourceError {
         let found = match self {
             Several::Animation(ImageFormat::Png, delays) => format!("an animated PNG of {} frames", delays.len()),
@@ -55,7 +55,7 @@ impl Several {
     }
 }
 
-/// The frames of one file, in their order.
+/// The frames of one file, in order.
 pub(crate) struct Sequence {
     path: PathBuf,
     kind: Kind,
@@ -77,7 +77,7 @@ enum Kind {
 }
 
 impl Sequence {
-    /// Starts to read a file of several frames.
+    /// Starts reading a file of several frames.
     ///
     /// # Errors
     /// A file that is broken from its start, too large or cut off.
@@ -89,7 +89,7 @@ impl Sequence {
         Ok(Sequence { path: path.to_owned(), kind, next: 0 })
     }
 
-    /// Frames in the file.
+    /// Number of frames in the file.
     pub(crate) fn len(&self) -> usize {
         match &self.kind {
             Kind::Animation { delays, .. } => delays.len(),
@@ -97,22 +97,22 @@ impl Sequence {
         }
     }
 
-    /// Frames per second as a fraction, where all but the last frame are shown equally long.
+    /// Returns the frames per second as a fraction, if all frames but the last have the same duration.
     pub(crate) fn rate(&self) -> Option<(u64, u64)> {
         let Kind::Animation { delays, .. } = &self.kind else { return None };
         rate(delays)
     }
 
-    /// When each frame is shown, in seconds since the first, where they are not shown equally long.
+    /// Returns the start of each frame in seconds since the first, if durations differ.
     pub(crate) fn times(&self) -> Option<&[f64]> {
         let Kind::Animation { times, .. } = &self.kind else { return None };
         times.as_deref()
     }
 
-    /// The next frame; `None` after the last.
+    /// Returns the next frame; `None` after the last.
     ///
     /// # Errors
-    /// A broken frame, or fewer than the file promises.
+    /// A broken frame, or fewer frames than the file declares.
     pub(crate) fn next(&mut self) -> Result<Option<Still>, SourceError> {
         let (index, length) = (self.next, self.len());
         if index == length {
@@ -141,7 +141,7 @@ impl Sequence {
     }
 }
 
-/// Starts the decoder of an animation on a thread of its own, a frame ahead.
+/// Starts the decoder of an animation on its own thread, one frame ahead.
 fn animation(
     bytes: Vec<u8>,
     path: &Path,
@@ -162,7 +162,7 @@ fn animation(
     common::check_length(&bytes, path, format, size)?;
     notes.extend(profile.and_then(|profile| icc::note(&profile)));
     let (sender, frames) = sync_channel(0);
-    // Frames of the image crate stay on the thread where they began.
+    // The image crate's frame iterators cannot be sent to another thread.
     std::thread::spawn(move || {
         let send = |frame: ImageResult<RgbaImage>| sender.send(frame).is_ok();
         match opened(Cursor::new(bytes), format) {
@@ -182,7 +182,7 @@ fn animation(
     Ok(Kind::Animation { delays, times, frames, orientation, notes })
 }
 
-/// Frames per second as a fraction, where all but the last frame are shown equally long.
+/// Returns the frames per second as a fraction, if all frames but the last have the same duration.
 fn rate(delays: &[(u32, u32)]) -> Option<(u64, u64)> {
     let (_, shown) = delays.split_last()?;
     let (&(numerator, denominator), rest) = shown.split_first()?;
@@ -190,7 +190,7 @@ fn rate(delays: &[(u32, u32)]) -> Option<(u64, u64)> {
     rest.iter().all(same).then_some((u64::from(denominator), u64::from(numerator)))
 }
 
-/// When each frame begins, in seconds since the first.
+/// Returns the start of each frame, in seconds since the first.
 fn starts(delays: &[(u32, u32)]) -> Vec<f64> {
     let mut time = 0.0;
     let start = |&(numerator, denominator): &(u32, u32)| {
@@ -201,7 +201,7 @@ fn starts(delays: &[(u32, u32)]) -> Vec<f64> {
     delays.iter().map(start).collect()
 }
 
-/// An animation before its first frame.
+/// An animation before its first frame is read.
 struct Opened<'a> {
     frames: Frames<'a>,
     size: [u32; 2],

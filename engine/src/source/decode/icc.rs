@@ -2,12 +2,12 @@
 //!
 //! Profiles are not applied. A profile that differs from sRGB adds a note with its name.
 
-/// Columns of sRGB's matrix, adapted to D50 as profiles have them: red, green and blue.
+/// Columns of sRGB's matrix, adapted to D50 as in profiles: red, green and blue.
 const SRGB: [[f64; 3]; 3] = [[0.4361, 0.2225, 0.0139], [0.3851, 0.7169, 0.0971], [0.1431, 0.0606, 0.7141]];
-/// sRGB's light of the sample ½.
+/// Linear light of sRGB's sample ½.
 const HALF: f64 = 0.2140;
 
-/// The line about a profile by which colours are not sRGB's.
+/// Returns a note if the profile is not sRGB.
 pub(super) fn note(profile: &[u8]) -> Option<String> {
     if is_srgb(profile) == Some(true) {
         return None;
@@ -46,12 +46,12 @@ fn short(bytes: &[u8], at: usize) -> Option<u16> {
     bytes.get(at..)?.first_chunk().map(|b| u16::from_be_bytes(*b))
 }
 
-/// A number of 16 bits and a fraction of 16.
+/// Reads a fixed-point number with 16 integer and 16 fractional bits.
 fn fixed(bytes: &[u8], at: usize) -> Option<f64> {
     Some(f64::from(word(bytes, at)? as i32) / 65536.0)
 }
 
-/// The bytes of a tag.
+/// Returns the bytes of a tag.
 fn tag<'a>(profile: &'a [u8], name: &[u8; 4]) -> Option<&'a [u8]> {
     let count = word(profile, 128)?.min(100) as usize;
     let entry = (0..count).map(|i| 132 + 12 * i).find(|&at| profile.get(at..at + 4) == Some(name))?;
@@ -64,7 +64,7 @@ fn xyz(tag: &[u8]) -> Option<[f64; 3]> {
     Some([fixed(tag, 8)?, fixed(tag, 12)?, fixed(tag, 16)?])
 }
 
-/// Light of the sample ½ by a curve.
+/// Returns the linear light of the sample ½ by a curve.
 fn half(tag: &[u8]) -> Option<f64> {
     match tag.get(..4)? {
         b"curv" => match word(tag, 8)? as usize {
@@ -78,7 +78,7 @@ fn half(tag: &[u8]) -> Option<f64> {
         b"para" => {
             let p = |i: usize| fixed(tag, 12 + 4 * i);
             let g = p(0)?;
-            // At ½ every curve in use is on its power's side.
+            // At ½ every parametric curve in use is in its power segment.
             Some(match short(tag, 8)? {
                 0 => 0.5_f64.powf(g),
                 1 => (p(1)? * 0.5 + p(2)?).powf(g),
@@ -92,7 +92,7 @@ fn half(tag: &[u8]) -> Option<f64> {
     }
 }
 
-/// The profile's name: printable characters, at most 60.
+/// Returns the profile's name: printable characters, at most 60.
 fn description(profile: &[u8]) -> Option<String> {
     let tag = tag(profile, b"desc")?;
     let text: String = match tag.get(..4)? {
@@ -112,7 +112,7 @@ fn description(profile: &[u8]) -> Option<String> {
 pub(super) mod tests {
     use super::*;
 
-    /// A profile of these colorants, one gamma and a name.
+    /// Builds a profile of these colorants, one gamma and a name.
     pub fn profile(columns: [[f64; 3]; 3], gamma: f64, name: &str) -> Vec<u8> {
         let number = |v: f64| ((v * 65536.0).round() as i32).to_be_bytes();
         let mut tags: Vec<(&[u8; 4], Vec<u8>)> = Vec::new();

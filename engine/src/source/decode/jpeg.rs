@@ -1,9 +1,9 @@
-//! JPEG, by integer arithmetic without vector instructions: every CPU has the same bytes.
+//! JPEG, by integer arithmetic without vector instructions: every CPU decodes the same bytes.
 //!
-//! Headers are read leniently, picture data strictly: codes that do not exist are an error, as is a file without its
-//! end-of-image marker, and a baseline image whose codes are not those of a whole picture ([`super::jpeg_scan`]).
-//! Damage that leaves as many codes is not detected, nor most damage of progressive images. CMYK is converted without a
-//! colour profile, `(1 − ink)·(1 − black)`.
+//! Headers are read leniently, picture data strictly. Invalid codes, a file without its end-of-image marker, and a
+//! baseline image whose codes do not cover the whole picture are errors ([`super::jpeg_scan`]). Damage that keeps the
+//! number of codes is not detected, nor is most damage of progressive images. CMYK is converted without a colour
+//! profile, `(1 − ink)·(1 − black)`.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ use crate::source::SourceError;
 
 pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Still, SourceError> {
     let explain = |e: &dyn std::fmt::Debug| {
-        // Some of the decoder's messages end with a line's end.
+        // Some of the decoder's messages end with a newline.
         let text = format!("{e:?}");
         let words: Vec<&str> = text.split_whitespace().collect();
         decode_error(path, format!("broken or unsupported JPEG image: {}", words.join(" ")))

@@ -1,29 +1,28 @@
-//! Test that the codes of a baseline JPEG image are those of a whole picture.
+//! Check that the Huffman codes of a baseline JPEG image cover the whole picture.
 //!
 //! The decoder of pictures accepts damaged data: it stops at a block's last coefficient and leaves missing parts grey.
-//! This module reads the Huffman codes once more (ITU-T T.81, F.2.2), without their values. Refused are codes that do
-//! not exist, runs past the 63rd coefficient, restart markers that are missing, and data that end before the last
-//! block. Extra bytes after it are accepted: cameras write them. Damage that leaves valid codes for the same number of
-//! blocks is not found. Progressive and arithmetic-coded images are not read here.
+//! This module reads the Huffman codes once more (ITU-T T.81, F.2.2), without their values. It rejects invalid codes,
+//! runs past the 63rd coefficient, missing restart markers, and data that end before the last block. Extra bytes after
+//! that block are accepted, because cameras write them. Damage that leaves valid codes for the same number of blocks is
+//! not detected. Progressive and arithmetic-coded images are not checked.
 
 /// The marker that ends an image.
 pub(super) const END: u8 = 0xd9;
-/// Bits that are looked up at once.
+/// Bits of a table look-up.
 const QUICK: u32 = 9;
-/// Most bits of a code.
+/// Maximum length of a code, in bits.
 const LONGEST: usize = 16;
 
-/// A table of codes: `quick` has the length and the symbol for each beginning of [`QUICK`] bits, 0 where the code is
-/// longer.
+/// A Huffman table. `quick` has length and symbol for each [`QUICK`]-bit prefix, 0 where the code is longer.
 struct Table {
     quick: Vec<(u8, u8)>,
-    /// For each length: what to add to a code to find its symbol's place, and the first number that is no code.
+    /// For each length: the offset from a code to the index of its symbol, and the first number that is no code.
     lengths: [(i32, i32); LONGEST + 1],
     symbols: Vec<u8>,
 }
 
 impl Table {
-    /// From the number of codes of each length, 1 to 16, and the symbols in the order of the codes.
+    /// Builds a table from the number of codes of each length, 1 to 16, and the symbols in the order of the codes.
     fn new(counts: &[u8], symbols: &[u8]) -> Table {
         let mut table =
             Table { quick: vec![(0, 0); 1 << QUICK], lengths: [(0, 0); LONGEST + 1], symbols: symbols.to_vec() };
@@ -44,8 +43,8 @@ impl Table {
     }
 }
 
-/// Bits of a scan, the most significant first. A zero byte after 0xff is left out; another one is a marker, which ends
-/// them.
+/// Bits of a scan, most significant first. A zero byte after 0xff is skipped; any other byte after 0xff is a marker,
+/// which ends the bits.
 struct Bits<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -54,7 +53,7 @@ struct Bits<'a> {
 }
 
 impl Bits<'_> {
-    /// At least 16 bits, where the data are not at their end.
+    /// Reads ahead to at least 16 bits, unless the data end.
     fn fill(&mut self) {
         while self.count <= 48 {
             let Some(&byte) = self.bytes.get(self.at) else { return };
@@ -70,7 +69,7 @@ impl Bits<'_> {
         }
     }
 
-    /// The next `count` bits, with zeros after the data's end.
+    /// Returns the next `count` bits without consuming them, padded with zeros at the end of the data.
     fn peek(&self, count: u32) -> u32 {
         let bits =
             if self.count >= count { self.bits >> (self.count - count) } else { self.bits << (count - self.count) };
@@ -102,7 +101,7 @@ impl Bits<'_> {
         Err(if self.count < LONGEST as u32 { Fault::End } else { Fault::Code })
     }
 
-    /// Leaves the rest of a byte and takes the marker that follows.
+    /// Skips the rest of a byte and reads the restart marker that follows.
     fn restart(&mut self) -> Result<(), Fault> {
         (self.bits, self.count) = (0, 0);
         while self.bytes.get(self.at) == Some(&0xff) {
@@ -117,13 +116,13 @@ impl Bits<'_> {
 }
 
 enum Fault {
-    /// No such code.
+    /// An invalid code.
     Code,
     /// A run past the last coefficient.
     Run,
-    /// A marker is missing.
+    /// A missing restart marker.
     Restart,
-    /// The data end.
+    /// The end of the data.
     End,
 }
 
@@ -155,7 +154,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), String> {
                 codes(&mut bits, &blocks, interval)?;
                 at = bits.at;
             }
-            // Other codings, and the end.
+            // Other codings, and the end of the image.
             0xc2..=0xcf if marker != 0xc8 && marker != 0xcc => return Ok(()),
             END => return Ok(()),
             _ => {}
@@ -164,7 +163,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), String> {
     Ok(())
 }
 
-/// The next marker with its body. Bytes in front of it are skipped.
+/// Returns the next marker with its body. Bytes before the marker are skipped.
 pub(super) fn segment<'a>(bytes: &'a [u8], at: &mut usize) -> Option<(u8, &'a [u8])> {
     loop {
         *at += bytes.get(*at..)?.iter().position(|&b| b == 0xff)?;
@@ -186,7 +185,7 @@ pub(super) fn segment<'a>(bytes: &'a [u8], at: &mut usize) -> Option<(u8, &'a [u
     }
 }
 
-/// Width, height and components of a frame of 8-bit samples with a height.
+/// Parses width, height and components of a frame header with 8-bit samples and a stated height.
 fn components(body: &[u8]) -> Option<((usize, usize), Vec<Component>)> {
     let [8, h0, h1, w0, w1, count, rest @ ..] = body else { return None };
     let size = [[*w0, *w1], [*h0, *h1]].map(|pair| usize::from(u16::from_be_bytes(pair)));
@@ -217,7 +216,7 @@ fn tables(mut body: &[u8], dc: &mut Tables, ac: &mut Tables) {
     }
 }
 
-/// The blocks of a scan: how many units there are, and the tables of each block of a unit.
+/// The blocks of a scan: the number of units, and the tables of each block of a unit.
 struct Blocks<'a> {
     units: usize,
     unit: Vec<(&'a Table, &'a Table)>,
@@ -242,7 +241,7 @@ fn scan<'a>(
         let table = |tables: &'a Tables, number: u8| tables.get(usize::from(number))?.as_ref();
         let pair = (table(dc, which >> 4)?, table(ac, which & 15)?);
         let blocks = if let [_] = chosen {
-            // A component alone has the blocks that its samples fill.
+            // A scan of one component has only the blocks that its samples fill.
             let samples = |size: usize, own: usize, most: usize| (size * own).div_ceil(most).div_ceil(8);
             units = samples(width, component.across, across) * samples(height, component.down, down);
             1

@@ -2,17 +2,17 @@
 //!
 //! The format is detected by the file's first bytes, not by its name.
 //!
-//! - Integer samples of b bits become `value / (2^b − 1)`. Float samples of TIFF are taken as display-referred. Those
+//! - Integer samples of b bits become `value / (2^b − 1)`. Float samples of TIFF are treated as display-referred. Those
 //!   of EXR are linear light unless the file declares another space, and become sRGB (`exr`). Both are clamped to `[0,
 //!   1]` with a note; a NaN or infinite sample is an error with the pixel's position.
 //! - Grey is copied to the three channels. Alpha is composited over mid grey (0.5), the default background of the
-//!   renderer: `c·a + 0.5·(1 − a)`. Premultiplied colours, which are those of EXR and of TIFF with associated alpha,
-//!   become `c + 0.5·(1 − a)`.
-//! - JPEG is decoded by integer arithmetic without vector instructions, so that every CPU has the same bytes (the
-//!   decoder is built without its SIMD features).
+//!   renderer: `c·a + 0.5·(1 − a)`. Premultiplied colours (EXR, and TIFF with associated alpha) become `c + 0.5·(1 −
+//!   a)`.
+//! - JPEG is decoded by integer arithmetic, so that every CPU decodes the same bytes (the decoder is built without its
+//!   SIMD features).
 //! - Orientation is applied in JPEG, PNG, WebP and TIFF. Colour profiles and tags of a space other than sRGB are not
 //!   applied; they add a note.
-//! - Files that are cut off or damaged are refused. So are those of several frames, where one picture is expected.
+//! - Files that are truncated or damaged are errors, as are files of several frames where one picture is expected.
 //! - Sizes are checked against [`crate::picture::size_is_allowed`] before memory for samples is taken.
 
 mod common;
@@ -44,7 +44,7 @@ const MAX_ALLOC: u64 = 1 << 30;
 /// Grey level behind transparent pixels.
 const BEHIND: f32 = 0.5;
 
-/// Reads a whole image file, refusing empty and huge ones.
+/// Reads a whole image file; empty files and files above [`MAX_FILE`] are errors.
 pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, SourceError> {
     let mut file = File::open(path).map_err(SourceError::read(path))?;
     let size = file.metadata().map_err(SourceError::read(path))?.len();
@@ -59,14 +59,14 @@ pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, SourceError> {
     Ok(bytes)
 }
 
-/// The note on alpha.
+/// Note on alpha.
 pub(super) const OVER_GREY: &str = "transparent parts are laid over mid grey";
-/// The note on colours that cannot be shown.
+/// Note on colours outside the display's range.
 const CLAMPED: &str = "colours outside 0 to 1 are clamped";
-/// The note on CMYK.
+/// Note on CMYK.
 const INKS: &str = "CMYK is converted without a colour profile";
 
-/// A decoded picture, and its conversions, a line each.
+/// A decoded picture, and the notes on its conversion, a line each.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Still {
     /// The picture.
@@ -91,7 +91,7 @@ pub fn decode(bytes: &[u8], path: &Path) -> Result<Picture, SourceError> {
     Ok(still(bytes, path)?.picture)
 }
 
-/// As [`decode`], with the conversions of the picture.
+/// Decodes as [`decode`] does, and returns the notes on the conversion too.
 ///
 /// # Errors
 /// As [`decode_file`].
@@ -128,9 +128,9 @@ struct Interleaved {
     pub premultiplied: bool,
 }
 
-/// To planes: grey copied, alpha composited, clamped to [0,1].
+/// Converts samples to planes: grey copied, alpha composited, clamped to [0,1].
 fn compose(image: &Interleaved, path: &Path) -> Result<Still, SourceError> {
-    /// Distance outside of 0 to 1 above which clamping adds a note: half a step of eight bits.
+    /// Clamping by more than this adds a note: half a step of eight bits.
     const OUTSIDE: f32 = 0.5 / 255.0;
     let Interleaved { width, height, channels, ref samples, premultiplied } = *image;
     check_size(path, width, height)?;

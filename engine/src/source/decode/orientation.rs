@@ -4,14 +4,14 @@ use image::metadata::Orientation;
 
 use crate::picture::Picture;
 
-/// The picture as the tag `orientation` shows it.
+/// Turns and mirrors the picture as the tag `orientation` requires.
 pub(super) fn apply(picture: Picture, orientation: Orientation) -> Picture {
     let Picture { width: w, height: h, ref rgb } = picture;
     let swaps = matches!(
         orientation,
         Orientation::Rotate90 | Orientation::Rotate270 | Orientation::Rotate90FlipH | Orientation::Rotate270FlipH
     );
-    // Place in the stored picture of the shown pixel in column x and row y.
+    // Maps column x and row y of the shown picture to a position in the stored one.
     let from: fn(usize, usize, usize, usize) -> usize = match orientation {
         Orientation::NoTransforms => return picture,
         Orientation::FlipHorizontal => |x, y, w, _| y * w + (w - 1 - x),

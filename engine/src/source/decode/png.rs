@@ -1,6 +1,6 @@
 //! Metadata chunks of PNG files: colour tags, and frame control of animations.
 
-/// The chunks in their order, each with its name and data, up to the first that is cut.
+/// Iterates over the chunks, each as name and data, up to the first that is truncated.
 pub(super) fn chunks(bytes: &[u8]) -> impl Iterator<Item = (&[u8; 4], &[u8])> {
     let mut rest = bytes.get(8..).unwrap_or_default();
     std::iter::from_fn(move || {
@@ -14,7 +14,7 @@ pub(super) fn chunks(bytes: &[u8]) -> impl Iterator<Item = (&[u8; 4], &[u8])> {
     })
 }
 
-/// Returns true if the file is read to its last chunk.
+/// Returns true if the file has its last chunk.
 pub(super) fn has_end(bytes: &[u8]) -> bool {
     chunks(bytes).any(|(name, _)| name == b"IEND")
 }
@@ -23,7 +23,7 @@ fn numbers(data: &[u8]) -> Vec<u32> {
     data.as_chunks::<4>().0.iter().map(|b| u32::from_be_bytes(*b)).collect()
 }
 
-/// The line about tags by which colours are not sRGB's: `cICP`, or `gAMA` and `cHRM` where neither a profile nor `sRGB`
+/// Returns a note on tags of a colour space other than sRGB: `cICP`, or `gAMA` and `cHRM` unless a profile or `sRGB`
 /// overrides them.
 pub(super) fn colour_note(bytes: &[u8]) -> Option<String> {
     let (mut gamma, mut chromaticities) = (None, None);
@@ -55,10 +55,10 @@ pub(super) fn colour_note(bytes: &[u8]) -> Option<String> {
     other.then(|| "the PNG tag cHRM (other primaries) is not applied: colours are taken as sRGB".to_owned())
 }
 
-/// How long each frame of an animation is shown, in seconds as a fraction; `None` for a picture that is none.
+/// Returns the duration of each frame of an animation, in seconds as a fraction; `None` if the file is no animation.
 ///
 /// # Errors
-/// Another number of frames than the file promises.
+/// A number of frames other than the declared one.
 pub(super) fn delays(bytes: &[u8]) -> Result<Option<Vec<(u32, u32)>>, String> {
     let promised = chunks(bytes)
         .take_while(|(name, _)| *name != b"IDAT")
@@ -70,7 +70,7 @@ pub(super) fn delays(bytes: &[u8]) -> Result<Option<Vec<(u32, u32)>>, String> {
         .filter(|(name, _)| *name == b"fcTL")
         .map(|(_, data)| {
             let (numerator, denominator) = (short(data, 20).unwrap_or(0), short(data, 22).unwrap_or(0));
-            // A denominator of 0 is 100.
+            // A denominator of 0 means 100.
             (u32::from(numerator), if denominator == 0 { 100 } else { u32::from(denominator) })
         })
         .collect();

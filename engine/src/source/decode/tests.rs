@@ -14,7 +14,7 @@ fn png(image: &DynamicImage) -> Vec<u8> {
     encode(image, ImageFormat::Png)
 }
 
-/// A chunk of PNG with its checksum.
+/// Builds a PNG chunk with its checksum.
 fn chunk(name: &[u8; 4], data: &[u8]) -> Vec<u8> {
     let body = [&name[..], data].concat();
     let crc = !body.iter().fold(u32::MAX, |crc, &byte| {
@@ -23,12 +23,12 @@ fn chunk(name: &[u8; 4], data: &[u8]) -> Vec<u8> {
     [&(data.len() as u32).to_be_bytes()[..], &body, &crc.to_be_bytes()].concat()
 }
 
-/// A PNG file with more chunks after its header.
+/// Builds a PNG file with more chunks after its header.
 fn with_chunks(png: &[u8], chunks: &[Vec<u8>]) -> Vec<u8> {
     [&png[..33], &chunks.concat(), &png[33..]].concat()
 }
 
-/// An animated PNG of whole frames with these delays.
+/// Builds an animated PNG of whole frames with these delays.
 pub(in crate::source) fn apng(frames: &[(RgbaImage, [u16; 2])]) -> Vec<u8> {
     let numbers = |numbers: &[u32]| numbers.iter().flat_map(|n| n.to_be_bytes()).collect::<Vec<u8>>();
     let mut bytes = Vec::new();
@@ -57,7 +57,7 @@ pub(in crate::source) fn apng(frames: &[(RgbaImage, [u16; 2])]) -> Vec<u8> {
     bytes
 }
 
-/// An animated WebP of whole frames, each with its duration in milliseconds.
+/// Builds an animated WebP of whole frames, each with its duration in milliseconds.
 pub(in crate::source) fn animated_webp(frames: &[(RgbImage, u32)]) -> Vec<u8> {
     let riff = |name: &[u8; 4], data: &[u8]| {
         let mut chunk = [&name[..], &(data.len() as u32).to_le_bytes(), data].concat();
@@ -77,7 +77,7 @@ pub(in crate::source) fn animated_webp(frames: &[(RgbImage, u32)]) -> Vec<u8> {
     riff(b"RIFF", &body)
 }
 
-/// A grey baseline JPEG of blocks of 8×8 pixels, each of one level.
+/// Builds a grey baseline JPEG of blocks of 8×8 pixels, each of one level.
 fn jpeg(width: u16, height: u16, level: impl Fn(usize, usize) -> u8) -> Vec<u8> {
     let segment =
         |marker: u8, data: &[u8]| [&[0xff, marker], &(data.len() as u16 + 2).to_be_bytes()[..], data].concat();
@@ -179,13 +179,13 @@ fn a_jpeg_that_is_cut_or_damaged_is_refused() {
     let mut damaged = whole.clone();
     damaged[start + 20..start + 60].fill(0xc3);
     assert!(error(&damaged).contains("a.jpg: broken"), "{}", error(&damaged));
-    // Valid codes for a part of the picture, then the marker of its end.
+    // Valid codes for a part of the picture, then the end-of-image marker.
     for part in [1, 20, (whole.len() - start) / 2] {
         let short = [&whole[..start + part], &[0xff, 0xd9]].concat();
         let found = error(&short);
         assert!(found.contains("the JPEG image is damaged at unit") && found.contains("of 192: "), "{found}");
     }
-    // Data after the picture are ignored: previews, second pictures, a maker's notes.
+    // Data after the picture are ignored: previews, second pictures, maker notes.
     assert!(decode(&[&whole[..], b"more"].concat(), Path::new("a.jpg")).is_ok());
 }
 

@@ -1,10 +1,10 @@
-//! TIFF and BigTIFF: grey, RGB, palette and CMYK of unsigned or float samples, strips or tiles, planes interleaved or
-//! one after the other.
+//! TIFF and BigTIFF: grey, RGB, palette and CMYK of unsigned or float samples, in strips or tiles, planes interleaved
+//! or separate.
 //!
 //! Uncompressed, LZW, deflate and PackBits. JPEG inside TIFF is not supported: its decoder would bring vector
-//! instructions back into the JPEG path. Tags that are applied: `Orientation`, `ExtraSamples` (colours that are
-//! multiplied by alpha, and those that are not), `NewSubfileType` (reduced copies and masks are not pages). Further
-//! samples are left out with a note.
+//! instructions back into the JPEG path. Tags that are applied: `Orientation`, `ExtraSamples` (whether colours are
+//! premultiplied by alpha), `NewSubfileType` (reduced copies and masks are not pages). Other extra samples are left out
+//! with a note.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -17,7 +17,7 @@ use super::{INKS, Interleaved, Still, check_size, compose, decode_error, icc, or
 use crate::picture::MAX_PIXELS;
 use crate::source::SourceError;
 
-/// Most pages of a file.
+/// Maximum number of pages in a file.
 const MAX_PAGES: usize = 1 << 20;
 
 /// Returns true if the bytes begin as TIFF or BigTIFF.
@@ -38,7 +38,7 @@ fn open<'a>(bytes: &'a [u8], path: &Path) -> Result<TiffDecoder<'a>, SourceError
     Ok(Decoder::new(Cursor::new(bytes)).map_err(explain(path))?.with_limits(limits))
 }
 
-/// Places of the pages that are pictures of their own, and of the first one in any case.
+/// Returns the indices of the pages without reduced copies and masks; the first page always counts.
 pub(super) fn pages(bytes: &[u8], path: &Path) -> Result<Vec<usize>, SourceError> {
     /// Bits of `NewSubfileType`: a reduced copy of another page, a mask of another page.
     const NOT_A_PAGE: u32 = 1 | 4;
@@ -57,7 +57,7 @@ pub(super) fn pages(bytes: &[u8], path: &Path) -> Result<Vec<usize>, SourceError
     Ok(pages)
 }
 
-/// The picture on the page at a place.
+/// Decodes the page at an index.
 pub(super) fn page(bytes: &[u8], place: usize, path: &Path) -> Result<Still, SourceError> {
     let page = Page::read(bytes, place, path)?;
     let mut notes = Vec::new();
@@ -80,7 +80,7 @@ pub(super) fn page(bytes: &[u8], place: usize, path: &Path) -> Result<Still, Sou
     let shown = orientation_of(page.orientation);
     let premultiplied = extra.first() == Some(&1);
     let samples: Vec<f32> = match page.samples {
-        // Palettes need the samples' numbers.
+        // Palettes need the integer samples.
         Samples::Whole(samples, _) if photometric == Photometric::Palette => {
             samples.iter().map(|&v| v as f32).collect()
         }
@@ -94,7 +94,7 @@ pub(super) fn page(bytes: &[u8], place: usize, path: &Path) -> Result<Still, Sou
     for pixel in samples.chunks_exact(read) {
         match photometric {
             Photometric::Grey | Photometric::Rgb => kept.extend_from_slice(&pixel[..colours]),
-            // There is a colour for every number of that many bits.
+            // The palette has a colour for every value of that many bits.
             Photometric::Palette => kept.extend(page.palette[pixel[0] as usize]),
             Photometric::Inks => kept.extend(pixel[..3].iter().map(|ink| (1.0 - ink) * (1.0 - pixel[3]))),
         }
@@ -109,10 +109,10 @@ pub(super) fn page(bytes: &[u8], place: usize, path: &Path) -> Result<Still, Sou
     Ok(still)
 }
 
-/// The samples of a grey page as they are stored, in their own unit, with width and height.
+/// Decodes the samples of a grey page in their stored unit, with width and height.
 ///
 /// # Errors
-/// As those of a picture, and pages that are not grey.
+/// Those of a picture, and pages that are not grey.
 pub(crate) fn grey(bytes: &[u8], path: &Path) -> Result<(usize, usize, Vec<f32>), SourceError> {
     let found = pages(bytes, path)?.len();
     if found > 1 {
@@ -134,7 +134,7 @@ fn orientation_of(tag: Option<u32>) -> Orientation {
     tag.and_then(|tag| Orientation::from_exif(u8::try_from(tag).ok()?)).unwrap_or(Orientation::NoTransforms)
 }
 
-/// Meaning of a page's samples.
+/// Interpretation of a page's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Photometric {
     Grey,
@@ -145,7 +145,7 @@ enum Photometric {
 }
 
 impl Photometric {
-    /// Samples of a colour as it is stored.
+    /// Number of samples of a stored colour.
     fn channels(self) -> usize {
         match self {
             Photometric::Rgb => 3,
@@ -154,7 +154,7 @@ impl Photometric {
         }
     }
 
-    /// Samples of a colour as it is shown.
+    /// Number of samples of a shown colour.
     fn shown(self) -> usize {
         match self {
             Photometric::Grey => 1,
@@ -164,7 +164,7 @@ impl Photometric {
 }
 
 enum Samples {
-    /// Whole numbers, and the largest one there can be.
+    /// Integers, and the largest possible value.
     Whole(Vec<u32>, u32),
     Float(Vec<f32>),
 }
@@ -174,11 +174,11 @@ struct Page {
     width: usize,
     height: usize,
     photometric: Photometric,
-    /// Samples of a pixel in the file.
+    /// Samples per pixel in the file.
     channels: usize,
-    /// Those of them that were read, interleaved.
+    /// Samples per pixel that were read; they are interleaved.
     read: usize,
-    /// Kinds of the samples after the colour's.
+    /// Kinds of the samples after the colour.
     extra: Vec<u16>,
     palette: Vec<[f32; 3]>,
     orientation: Option<u32>,
@@ -217,7 +217,7 @@ impl Page {
             )));
         }
         let photometric = match number(&mut decoder, Tag::PhotometricInterpretation, 1)? {
-            // Where white is zero the decoder turns the samples.
+            // The decoder inverts the samples where white is zero.
             0 | 1 => Photometric::Grey,
             2 => Photometric::Rgb,
             3 => Photometric::Palette,
@@ -272,7 +272,7 @@ impl Page {
             .then(|| decoder.ifd_pointer().and_then(|at| as_grey(bytes, usize::try_from(at.0).ok()?)))
             .flatten();
         match as_grey {
-            // The decoder does not support palettes, so the indices are read as levels of grey.
+            // The decoder does not support palettes, so the indices are read as grey levels.
             Some(grey) => {
                 let mut decoder = open(&grey, path)?;
                 if place > 0 {
@@ -302,7 +302,7 @@ impl Page {
             Samples::Whole(samples, _) => samples.len(),
             Samples::Float(samples) => samples.len(),
         };
-        // The decoder itself leaves out some samples that are no colours.
+        // The decoder itself drops some samples that are not colours.
         let read = found / (width * height);
         if found != read * width * height || !(photometric.channels()..=channels).contains(&read) {
             let expected = width * height * channels;
@@ -318,7 +318,7 @@ impl Page {
     }
 }
 
-/// The file with the photometric interpretation of the directory at a place set to grey.
+/// Returns the file with the photometric interpretation of the directory at an offset set to grey.
 pub(crate) fn as_grey(bytes: &[u8], directory: usize) -> Option<Vec<u8>> {
     let (little, big) = (bytes.first()? == &b'I', bytes.get(2..4)?.contains(&43));
     let short = |at: usize| {
@@ -326,7 +326,7 @@ pub(crate) fn as_grey(bytes: &[u8], directory: usize) -> Option<Vec<u8>> {
         Some(if little { u16::from_le_bytes(b) } else { u16::from_be_bytes(b) })
     };
     let (first, each, value) = if big { (8, 20, 12) } else { (2, 12, 8) };
-    // Their number: its first or last two bytes.
+    // The number of entries: the first or last two bytes.
     let count = short(if big && !little { directory + 6 } else { directory })?;
     let entries = (0..usize::from(count)).map(|i| directory + first + each * i);
     let entry = entries.into_iter().find(|&at| short(at) == Some(262))?;
@@ -336,13 +336,13 @@ pub(crate) fn as_grey(bytes: &[u8], directory: usize) -> Option<Vec<u8>> {
     Some(grey)
 }
 
-/// Planes one after the other, as pixels.
+/// Interleaves separate planes.
 fn interleaved<T: Copy>(planes: &[T], channels: usize) -> Vec<T> {
     let area = planes.len() / channels;
     (0..area).flat_map(|pixel| (0..channels).map(move |channel| planes[channel * area + pixel])).collect()
 }
 
-/// Samples of fewer than 8 bits; each row begins with a byte.
+/// Unpacks samples of fewer than 8 bits; each row starts at a byte.
 fn unpack(bytes: &[u8], width: usize, height: usize, depth: u16) -> Samples {
     let (depth, each) = (usize::from(depth), 8 / usize::from(depth));
     let most = (1_u32 << depth) - 1;
@@ -354,13 +354,13 @@ fn unpack(bytes: &[u8], width: usize, height: usize, depth: u16) -> Samples {
     Samples::Whole(samples, most)
 }
 
-/// The place of the 8 bits that every colour of a palette has: 0 if they are written alone, 8 above a byte of zeros;
-/// `None` for colours of 16 bits.
+/// Returns the bit position of a palette's 8-bit colours: 0 if they are stored alone, 8 if above a zero byte; `None`
+/// for colours of 16 bits.
 pub(crate) fn eight_bits_at(palette: &[u16]) -> Option<u32> {
     [(0, 0xff00), (8, 0x00ff)].into_iter().find(|(_, others)| palette.iter().all(|v| v & others == 0)).map(|(at, _)| at)
 }
 
-/// The colours of a palette: 16 bits each, or 8, as some programs write them, above a byte of zeros or alone.
+/// Reads the colours of a palette: 16 bits each, or 8 bits, which some programs write above a zero byte or alone.
 fn palette(decoder: &mut TiffDecoder<'_>, depth: u16, path: &Path) -> Result<Vec<[f32; 3]>, SourceError> {
     let numbers = decoder.find_tag_unsigned_vec::<u16>(Tag::ColorMap).map_err(explain(path))?.unwrap_or_default();
     if depth > 8 || numbers.len() != 3 << depth {
@@ -377,7 +377,7 @@ mod tests {
     use super::*;
     use tiff::encoder::{TiffEncoder, colortype};
 
-    /// A decoded page's samples.
+    /// Decodes a page's samples.
     fn rgb(bytes: &[u8]) -> Vec<f32> {
         page(bytes, 0, Path::new("a.tif")).expect("valid").picture.rgb
     }
@@ -399,7 +399,8 @@ mod tests {
         assert!(page(&bytes.get_ref()[..half], 0, Path::new("a.tif")).is_err());
     }
 
-    /// A file of one strip with these tags in addition to its size: number, type (3 for 16 bits, 4 for 32) and values.
+    /// Builds a file of one strip with these tags in addition to its size: number, type (3 for 16 bits, 4 for 32) and
+    /// values.
     fn file(big: bool, [width, height]: [u32; 2], tags: &[(u16, u16, &[u32])], strips: &[&[u8]]) -> Vec<u8> {
         let lengths: Vec<u32> = strips.iter().map(|strip| strip.len() as u32).collect();
         let first = if big { 16 } else { 8 };
@@ -492,7 +493,7 @@ mod tests {
         }
         let tags: [(u16, u16, &[u32]); 3] = [(258, 3, &[4]), (262, 3, &[3]), (320, 3, &palette)];
         assert_eq!(rgb(&file(false, [3, 1], &tags, &[&[0x10, 0x10]])), [1.0, 0.0, 1.0, 0.4, 0.2, 0.4, 0.0, 1.0, 0.0]);
-        // Eight bits above a byte of zeros.
+        // Eight bits above a zero byte.
         let mut bytes = vec![0; 3 * 16];
         (bytes[1], bytes[17], bytes[33]) = (255 << 8, 51 << 8, 0);
         let tags: [(u16, u16, &[u32]); 3] = [(258, 3, &[4]), (262, 3, &[3]), (320, 3, &bytes)];

@@ -5,13 +5,13 @@ pub(super) fn is(bytes: &[u8]) -> bool {
     bytes.starts_with(b"RIFF") && bytes.get(8..12) == Some(b"WEBP")
 }
 
-/// Bytes that the file promises, its first eight included.
+/// Returns the declared number of bytes, including the first eight.
 pub(super) fn promised(bytes: &[u8]) -> u64 {
     let length = bytes.get(4..).and_then(|b| b.first_chunk()).map_or(0, |b| u32::from_le_bytes(*b));
     u64::from(length) + 8
 }
 
-/// The chunks in their order, each with its name and data, up to the first that is cut.
+/// Iterates over the chunks, each as name and data, up to the first that is truncated.
 fn chunks(bytes: &[u8]) -> impl Iterator<Item = (&[u8; 4], &[u8])> {
     let mut rest = bytes.get(12..).unwrap_or_default();
     std::iter::from_fn(move || {
@@ -24,7 +24,7 @@ fn chunks(bytes: &[u8]) -> impl Iterator<Item = (&[u8; 4], &[u8])> {
     })
 }
 
-/// How long each frame of an animation is shown, in seconds as a fraction; `None` for a picture that is none.
+/// Returns the duration of each frame of an animation, in seconds as a fraction; `None` if the file is no animation.
 pub(super) fn delays(bytes: &[u8]) -> Option<Vec<(u32, u32)>> {
     let delays: Vec<(u32, u32)> = chunks(bytes)
         .filter(|(name, _)| *name == b"ANMF")

@@ -1,15 +1,15 @@
-//! How bright the pictures of high dynamic range are: which light is white in standard range depends on it.
+//! Brightness of high-dynamic-range video. It decides which light level becomes white in standard range.
 
 use std::path::Path;
 
 use super::program;
 
-/// One sample in this many may be brighter than white.
+/// Up to one sample in this many may be brighter than white.
 const RARE: usize = 500;
-/// Frames that are inspected, one a second, and their size.
+/// Number of frames inspected, one per second, and their size in samples.
 const LOOKED_AT: (usize, usize) = (20, 64 * 36);
 
-/// The sample of HLG, 0 to 1, that a display of 1000 cd/m² shows as grey of `light` cd/m².
+/// Returns the HLG sample, 0 to 1, that a display of 1000 cd/m² shows as grey of `light` cd/m².
 pub(super) fn hlg(light: f64) -> f64 {
     let scene = (light / 1000.0).powf(1.0 / 1.2);
     if scene <= 1.0 / 12.0 {
@@ -19,14 +19,14 @@ pub(super) fn hlg(light: f64) -> f64 {
     }
 }
 
-/// The sample of PQ, 0 to 1, of `light` cd/m².
+/// Returns the PQ sample, 0 to 1, of `light` cd/m².
 pub(super) fn pq(light: f64) -> f64 {
     let y = (light / 10_000.0).powf(2610.0 / 16384.0);
     let (c1, c2, c3) = (3424.0 / 4096.0, 2413.0 / 128.0, 2392.0 / 128.0);
     ((c1 + c2 * y) / (1.0 + c3 * y)).powf(2523.0 / 32.0)
 }
 
-/// Returns true if more than one sample of luma in [`RARE`] is above `white`, 0 to 1 of the limited range.
+/// Returns true if more than one luma sample in [`RARE`] is above `white`, which is 0 to 1 of the limited range.
 pub(super) fn looks_brighter(path: &Path, stream: &str, white: f64) -> bool {
     let (frames, size) = LOOKED_AT;
     // A conversion to a grey format would change the range.

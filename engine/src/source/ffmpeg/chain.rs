@@ -1,4 +1,4 @@
-//! From what a stream's frames are to the filters that make pictures of them which [`crate::source::y4m`] reads.
+//! The ffmpeg filters that convert a stream's frames to planes for [`crate::source::y4m`].
 
 use std::path::Path;
 
@@ -7,14 +7,14 @@ use super::shown::Look;
 use crate::source::colour::{Conversion, Curve, Matrix, title};
 use crate::source::y4m::header::made_square;
 
-/// Formats of Y'CbCr and grey that y4m has, in ffmpeg's names; it takes the one nearest to the file's own.
+/// Formats of Y'CbCr and grey that y4m has, in ffmpeg's names; ffmpeg picks the one nearest to the file's own.
 const FORMATS: &str = "format=pix_fmts=yuv420p|yuv422p|yuv444p|yuvj420p|yuvj422p|yuvj444p|yuv411p|gray|yuv420p9|yuv422p9|yuv444p9\
 |yuv420p10|yuv422p10|yuv444p10|yuv420p12|yuv422p12|yuv444p12|yuv420p14|yuv422p14|yuv444p14|yuv420p16|yuv422p16|yuv444p16\
 |gray10|gray12|gray16";
-/// Light of white in standard range where a video goes beyond it, and where it does not, in cd/m².
+/// Light that becomes white in standard range, in cd/m²: for a video that exceeds the first level, and for others.
 pub(super) const WHITE: [u32; 2] = [203, 100];
 
-/// Filters, and a description of them.
+/// The filters, and notes on them.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Chain {
     pub(super) filters: Vec<String>,
@@ -29,12 +29,12 @@ pub(super) enum Samples {
     Rgb,
     /// Luma and chroma of this matrix.
     Matrix(Matrix),
-    /// Luma and chroma of a matrix that is chosen by the size of the pictures.
+    /// Luma and chroma of a matrix that is chosen by the picture's size.
     Guessed,
 }
 
 impl Chain {
-    /// The chain for frames that look like this. `given` replaces the file's own matrix.
+    /// Returns the chain for frames of this kind. `given` replaces the file's own matrix.
     pub(super) fn of(
         look: &Look,
         size: (usize, usize),
@@ -53,7 +53,7 @@ impl Chain {
         let samples = match look.tags.conversion(size, rgb.is_some(), grey, given) {
             Conversion::Rgb => {
                 let bits = rgb.filter(|bits| *bits > 8).map(|bits| bits.to_string()).unwrap_or_default();
-                // The planes get other names, and their samples stay as they are.
+                // The planes are renamed; their samples stay unchanged.
                 filters.push(format!("format=gbrp{bits},mergeplanes=0x000102:yuv444p{bits}"));
                 Samples::Rgb
             }
@@ -73,14 +73,14 @@ impl Chain {
                 Samples::Matrix(Matrix::BT709)
             }
         };
-        // In a GIF, alpha marks pixels that stay from the frame before.
+        // In a GIF, alpha marks pixels that keep the previous frame's value.
         if !gif && has_alpha(&look.format) {
             notes.push("the alpha plane is left out".to_owned());
         }
         Chain { filters, notes, samples }
     }
 
-    /// A line on the matrix that was taken by size.
+    /// Returns a note on the matrix chosen by size.
     pub(super) fn guess(matrix: Matrix) -> String {
         format!(
             "the matrix is not stated: {} was taken by the size of the pictures (--matrix takes another)",
@@ -89,7 +89,7 @@ impl Chain {
     }
 }
 
-/// The filter from high dynamic range to BT.709, and its description.
+/// Returns the filter from high dynamic range to BT.709, and its description.
 fn to_standard(curve: Curve, assumed: &str, path: &Path, stream: &str) -> (String, String) {
     let (name, curve, white) = match curve {
         Curve::Hlg => ("HLG", "arib-std-b67", bright::hlg(f64::from(WHITE[1]))),
@@ -104,7 +104,7 @@ fn to_standard(curve: Curve, assumed: &str, path: &Path, stream: &str) -> (Strin
     (filter, format!("{name} was converted to BT.709 of standard range, white at {light} cd/m²"))
 }
 
-/// Bits of a sample of formats of red, green and blue, by ffmpeg's name; none of others.
+/// Returns the bits per sample of an RGB format, by ffmpeg's name; `None` for other formats.
 fn rgb_bits(format: &str) -> Option<u32> {
     let starts = |starts: &[&str]| starts.iter().any(|start| format.starts_with(start));
     if !starts(&["rgb", "bgr", "gbr", "argb", "abgr", "0rgb", "0bgr", "x2rgb", "x2bgr", "pal8", "xyz", "bayer"]) {

@@ -1,22 +1,22 @@
-//! Any video file, through an installed `ffmpeg` program that writes y4m into a pipe; ffprobe is not needed.
+//! Any video file, decoded by an installed `ffmpeg` program that writes y4m into a pipe; ffprobe is not needed.
 //!
-//! - **Which stream**: the one that moves (`streams`); covers and stills are left out with a line.
-//! - **Times**: every frame comes once, at its own time (`times`); none is made up or dropped.
-//! - **Colour**: planes are passed as they are, and [`super::colour`] decides what their tags mean.
-//! - **Shape**: ffmpeg applies the file's rotation. Pixels that are not square are made so by [`super::Source`].
-//!   Interlaced frames are deinterlaced.
-//! - **High dynamic range** (HLG, PQ) becomes BT.709 of standard range: display light of 203 cd/m² is white (ITU-R
-//!   BT.2408) and what is brighter is rolled off, or 100 cd/m² where a video has hardly anything brighter.
-//! - **Damage**: what can be decoded is read; an error message of ffmpeg is an error after the last frame, also with
-//!   exit status 0, as is a file that is shorter than its container declares (`whole`).
+//! - **Which stream**: the moving one (`streams`); covers and stills are left out with a note.
+//! - **Times**: every frame is used once, at its own time (`times`); none is duplicated or dropped.
+//! - **Colour**: planes are passed unchanged, and [`super::colour`] decides the meaning of their tags.
+//! - **Shape**: ffmpeg applies the file's rotation. [`super::Source`] makes pixels square. Interlaced frames are
+//!   deinterlaced.
+//! - **High dynamic range** (HLG, PQ) becomes BT.709 of standard range. Display light of 203 cd/m² becomes white (ITU-R
+//!   BT.2408), and brighter parts are rolled off. If hardly anything in the video is brighter, 100 cd/m² becomes white.
+//! - **Damage**: all decodable frames are read. An error message of ffmpeg is an error after the last frame, even with
+//!   exit status 0. So is a file that is shorter than its container declares (`whole`).
 //!
 //! [`Ffmpeg::notes`] lists conversions of the pictures and parts of the file that are left out. Decoders differ between
 //! versions of ffmpeg, so equal digests of a run require equal output of ffmpeg: compare the input digests in
 //! `run.json`.
 //!
-//! Opening starts ffmpeg twice, to list the streams and to decode. A third start follows if the first frame needs other
-//! filters than the list implied. Packets are counted, without decoding, only if there are several streams to choose
-//! from, the mean rate is unknown, or the file is Matroska, whose rate is a declaration.
+//! Opening starts ffmpeg twice: to list the streams, and to decode. A third start follows if the first frame needs
+//! other filters than the list implied. Packets are counted, without decoding, only in three cases: there are several
+//! streams to choose from, the mean rate is unknown, or the file is Matroska, whose rate is only a declaration.
 
 mod bright;
 mod chain;
@@ -48,20 +48,20 @@ pub struct Ffmpeg {
     y4m: Y4m<BufReader<ChildStdout>>,
     path: PathBuf,
     clock: Clock,
-    /// The first frame's time stamp and size.
+    /// Time stamp and size of the first frame.
     first: (Option<i64>, (usize, usize)),
     notes: Vec<String>,
     sound: Option<String>,
     /// The stream's number.
     stream: usize,
-    /// Frames, where they were counted.
+    /// Number of frames, if they were counted.
     counted: Option<usize>,
     uneven: bool,
-    /// Frames the file announces.
+    /// Number of frames that the file declares.
     announced: Option<usize>,
     rate: Option<(f64, f64)>,
     read: usize,
-    /// The first frame of another size than the first.
+    /// Index of the first frame whose size differs from the first frame's.
     resized: Option<usize>,
 }
 
@@ -69,7 +69,7 @@ impl Ffmpeg {
     /// Starts ffmpeg on the file and reads the stream's header. `matrix` replaces the file's own.
     ///
     /// # Errors
-    /// ffmpeg is not installed, or cannot read the file; nothing in it moves.
+    /// ffmpeg is not installed or cannot read the file, or the file has no moving stream.
     pub fn open(path: &Path, matrix: Option<Matrix>) -> Result<Self, SourceError> {
         let listing = Listing::of(path).map_err(|e| not_started(e, path))?;
         if let Some(cause) = listing.refusal() {
@@ -100,7 +100,7 @@ impl Ffmpeg {
         if let Some(found) = &first
             && found.look != stream.look
         {
-            // The frames are the truth, the list was a guess.
+            // The first frame decides; the list is only a guess.
             let shown = chain(found);
             if shown.filters != listed.filters {
                 decoding.filters.clone_from(&shown.filters);
@@ -145,7 +145,7 @@ impl Ffmpeg {
             clock,
             first: (time, size),
             notes,
-            // The packets of a cut file are fewer than its header announces.
+            // The packets of a truncated file are fewer than its header declares.
             announced: match counted {
                 Some(count) if open => Some(count.frames),
                 _ => listing.frames(&stream, starts),
@@ -160,60 +160,59 @@ impl Ffmpeg {
         })
     }
 
-    /// Parameters of the stream of pictures.
+    /// Returns the parameters of the picture stream.
     pub fn header(&self) -> &Header {
         self.y4m.header()
     }
 
-    /// The file's first sound track, if it has one.
+    /// Returns the file's first sound track, if it has one.
     pub fn sound(&self) -> Option<Sound> {
         let codec = self.sound.clone()?;
         Some(Sound { file: self.path.clone(), codec, start: self.start().max(0.0) })
     }
 
-    /// Number of frames by the file's metadata.
+    /// Returns the number of frames by the file's metadata.
     pub fn expected_frames(&self) -> Option<usize> {
         self.announced
     }
 
-    /// Frames counted without decoding them.
+    /// Returns the number of frames counted without decoding.
     pub(super) fn counted_frames(&self) -> Option<usize> {
         let counts = || program::count(&self.path, &[self.stream]);
         self.counted.or_else(|| counts().first().map(|(_, count)| count.frames)).filter(|frames| *frames > 0)
     }
 
-    /// Frames per second as a fraction: the nominal rate of the stream, or, where frames have another one in the mean,
-    /// that.
+    /// Returns the frames per second as a fraction: the stream's nominal rate, or the mean rate where it differs.
     pub fn rate(&self) -> Option<(f64, f64)> {
         self.rate
     }
 
-    /// Returns true if the frames do not follow each other at the file's nominal rate.
+    /// Returns true if the frames do not follow the file's nominal rate.
     pub fn is_uneven(&self) -> bool {
         self.uneven
     }
 
-    /// Seconds from the beginning of the file, which may be that of its sound, to the first frame.
+    /// Returns the seconds from the beginning of the file, which may be the start of its sound, to the first frame.
     pub fn start(&self) -> f64 {
         self.first.0.map_or(0.0, |time| self.clock.seconds(time))
     }
 
-    /// Conversions of the pictures and parts of the file that are left out, a line each. Findings during decoding are
-    /// added at the end.
+    /// Returns the notes: conversions of the pictures and parts of the file that are left out, a line each. Notes from
+    /// decoding are appended at the end.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// The next frame with its time in seconds since the first; `None` at the end of the video.
+    /// Returns the next frame with its time in seconds since the first; `None` at the end of the video.
     ///
     /// # Errors
-    /// A frame that cannot be read; at the end, [`SourceError::Damaged`] where ffmpeg complained of the file.
+    /// A frame that cannot be read; at the end, [`SourceError::Damaged`] if ffmpeg reported errors.
     pub fn next_frame(&mut self) -> Result<Option<(Picture, f64)>, SourceError> {
         let picture = match self.y4m.next_picture() {
             Ok(Some(picture)) => picture,
             Ok(None) => return self.end(None).map(|()| None),
             Err(SourceError::Y4m { cause, .. }) => {
-                // It ended in the middle of a frame, or is not to be trusted any more.
+                // The stream ended inside a frame, or its content is not reliable any more.
                 self.running.kill();
                 return self.end(Some(cause)).map(|()| None);
             }
@@ -221,7 +220,7 @@ impl Ffmpeg {
         };
         let (time, size) = match self.read {
             0 => self.first,
-            // A frame without a message has no time stamp, and the size of the first.
+            // A frame without a message gets no time stamp and the size of the first.
             _ => self.running.frame(self.read).unwrap_or((None, self.first.1)),
         };
         if size != self.first.1 {
@@ -231,7 +230,7 @@ impl Ffmpeg {
         Ok(Some((picture, self.clock.next(time))))
     }
 
-    /// Checks ffmpeg's messages, and the error that `broke` the stream of pictures.
+    /// Checks ffmpeg's messages; `broke` is the error that ended the stream of pictures.
     fn end(&mut self, broke: Option<String>) -> Result<(), SourceError> {
         let moved = self.clock.moved;
         if moved > 0 {
@@ -273,7 +272,7 @@ fn not_started(e: std::io::Error, path: &Path) -> SourceError {
     }
 }
 
-/// Why there is not one frame.
+/// Returns the error for a file without any readable frame.
 fn unreadable(path: &Path, complaints: &Complaints) -> SourceError {
     let path = path.to_owned();
     if is_text(&path) {
@@ -287,7 +286,7 @@ fn unreadable(path: &Path, complaints: &Complaints) -> SourceError {
     SourceError::Ffmpeg { path, cause }
 }
 
-/// The first complaint, without the file's name in front.
+/// Returns the first error message, without the file's name in front.
 fn one_line(complaints: &Complaints, path: &Path) -> String {
     let name = format!("file:{}: ", path.display());
     let line = complaints.first.first().map_or("no reason given", String::as_str);

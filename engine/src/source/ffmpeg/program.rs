@@ -1,4 +1,4 @@
-//! How the `ffmpeg` program is called: on local files alone, with answers that are bounded.
+//! Calls of the `ffmpeg` program: local files only, with bounded output.
 
 use std::ffi::OsString;
 use std::io::{BufRead, BufReader, Read};
@@ -7,18 +7,19 @@ use std::process::{Child, Command, Stdio};
 
 use super::streams::{Count, Counter};
 
-/// Most bytes that are read of the list of a file's streams.
+/// Maximum bytes read of a stream list.
 const MAX_LIST: u64 = 1 << 20;
 
-/// The file as ffmpeg takes it: a name that starts with a dash or holds a colon must not be taken as an option or a
-/// protocol.
+/// Returns the file as an argument for ffmpeg. A name that starts with a dash or contains a colon must not be read as
+/// an option or a protocol.
 pub(super) fn url(path: &Path) -> OsString {
     let mut url = OsString::from("file:");
     url.push(path);
     url
 }
 
-/// ffmpeg with this verbosity and the file as its input. A playlist may name other files, but nothing on a network.
+/// Builds an ffmpeg command with this verbosity and the file as its input. A playlist may name other files, but none on
+/// a network.
 fn ffmpeg(path: &Path, verbosity: &str, options: &[&str]) -> Command {
     let mut command = Command::new("ffmpeg");
     command.args(["-nostdin", "-nostats", "-hide_banner", "-v", verbosity, "-protocol_whitelist", "file"]);
@@ -26,19 +27,19 @@ fn ffmpeg(path: &Path, verbosity: &str, options: &[&str]) -> Command {
     command
 }
 
-/// ffmpeg's listing of a file, without any output.
+/// Returns ffmpeg's list of a file's streams.
 pub(super) fn list(path: &Path) -> std::io::Result<String> {
     let mut child = ffmpeg(path, "info", &[]).stdout(Stdio::null()).stderr(Stdio::piped()).spawn()?;
     let mut bytes = Vec::new();
     let read = child.stderr.take().map(|err| err.take(MAX_LIST).read_to_end(&mut bytes));
-    // ffmpeg would block on the pipe if it prints more than the limit.
+    // ffmpeg would block on the pipe if it printed more than the limit.
     let _ = child.kill();
     let _ = child.wait();
     read.transpose()?;
     Ok(String::from_utf8_lossy(&bytes).into_owned())
 }
 
-/// Frames of these streams, counted without decoding them.
+/// Counts the frames of these streams without decoding them.
 pub(super) fn count(path: &Path, streams: &[usize]) -> Vec<(usize, Count)> {
     let mut command = ffmpeg(path, "quiet", &[]);
     streams.iter().for_each(|stream| _ = command.args(["-map", &format!("0:{stream}")]));
@@ -58,21 +59,21 @@ pub(super) fn count(path: &Path, streams: &[usize]) -> Vec<(usize, Count)> {
     streams.iter().copied().zip(counter.counts()).collect()
 }
 
-/// How a stream is decoded.
+/// Parameters of decoding a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Decoding {
-    /// The stream, as `-map` takes it.
+    /// The stream, in the form of `-map`.
     pub(super) stream: String,
     pub(super) filters: Vec<String>,
-    /// True if packets that are there in part, or not as they were sent, are decoded nonetheless.
+    /// True to decode incomplete or corrupted packets too.
     pub(super) parts: bool,
-    /// True for versions before 5.1, where options have other names.
+    /// True for versions before 5.1, where the options have other names.
     pub(super) old: bool,
 }
 
 impl Decoding {
     /// Starts ffmpeg, which decodes to y4m on its standard output and writes the messages for [`super::shown::Message`]
-    /// to its standard error. Every frame is passed once; the first filter prints the times.
+    /// to its standard error. Every frame is passed once. The first filter prints the times.
     pub(super) fn start(&self, path: &Path) -> std::io::Result<Child> {
         let parts: &[&str] = if self.parts { &[] } else { &["-fflags", "+discardcorrupt"] };
         let sync = if self.old { "-vsync" } else { "-fps_mode" };
@@ -95,7 +96,7 @@ impl Decoding {
     }
 }
 
-/// At most `most` bytes of a stream through a filter of ffmpeg, as raw video; none where it fails.
+/// Returns at most `most` bytes of a stream through an ffmpeg filter, as raw video; empty if it fails.
 pub(super) fn samples(path: &Path, stream: &str, filter: &str, frames: usize, most: usize) -> Vec<u8> {
     let child = ffmpeg(path, "quiet", &[])
         .args(["-map", stream, "-vf", filter, "-frames:v", &frames.to_string(), "-f", "rawvideo", "-"])
@@ -119,7 +120,7 @@ mod tests {
         let command = ffmpeg(Path::new("clip.mp4"), "quiet", &["-ss", "1"]);
         let words: Vec<_> = command.get_args().map(|word| word.to_string_lossy().into_owned()).collect();
         let place = |word: &str| words.iter().position(|other| other == word).expect("the option");
-        // An option of the input: it comes before the input's name.
+        // An input option must come before the input's name.
         let (list, input) = (place("-protocol_whitelist"), place("-i"));
         assert_eq!(words[list + 1], "file");
         assert!(list < input && words[input + 1] == "file:clip.mp4");

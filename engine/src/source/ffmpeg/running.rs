@@ -1,4 +1,4 @@
-//! A running ffmpeg: pictures from its standard output, their times and properties from its standard error.
+//! A running ffmpeg process: pictures from its standard output, their times and properties from its standard error.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
@@ -12,7 +12,7 @@ use super::shown::{self, Look, Message};
 
 /// Longest line of messages read, in bytes.
 const MAX_LINE: u64 = 1 << 16;
-/// Complaints that are kept.
+/// Number of error messages that are kept.
 const KEPT: usize = 16;
 /// Time limit for the message on a frame's colours, which versions before 4.1 do not print.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -22,18 +22,18 @@ pub(super) struct Running {
     child: Child,
     messages: Receiver<Message>,
     numbers: Numbers,
-    /// Number, time stamp and size of a later frame, received where the message of an earlier one is missing.
+    /// Number, time stamp and size of a later frame, received because an earlier frame's message is missing.
     early: Option<(usize, Option<i64>, (usize, usize))>,
     complaints: Option<JoinHandle<Complaints>>,
 }
 
-/// Numbers of frames since the start. ffmpeg restarts its count when it rebuilds its filters, for example for frames of
+/// Frame numbers since the start. ffmpeg restarts its count when it rebuilds its filters, for example for frames of
 /// another size.
 #[derive(Clone, Copy, Debug, Default)]
 struct Numbers {
-    /// The number of the first frame since then.
+    /// The number of the first frame since the last restart.
     base: usize,
-    /// The last number of ffmpeg's.
+    /// The last number that ffmpeg printed.
     last: Option<usize>,
 }
 
@@ -47,18 +47,18 @@ impl Numbers {
     }
 }
 
-/// The error.
+/// Error messages of ffmpeg.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Complaints {
-    /// The first of them.
+    /// The first messages, at most [`KEPT`].
     pub(super) first: Vec<String>,
     pub(super) count: usize,
 }
 
-/// Values available once the first frame is there.
+/// Values known after the first frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct First {
-    /// Seconds of a tick, and frames per second.
+    /// Seconds per tick; `rate`: frames per second.
     pub(super) tick: Option<(u32, u32)>,
     pub(super) rate: Option<(u32, u32)>,
     /// The first frame's time stamp, if it has one.
@@ -68,21 +68,21 @@ pub(super) struct First {
 }
 
 impl Running {
-    /// Starts it; the first frame is awaited. Its pictures are read from the pipe.
+    /// Starts the process and waits for the first frame. The caller reads the pictures from the returned pipe.
     pub(super) fn start(decoding: &Decoding, path: &Path) -> std::io::Result<(Running, ChildStdout, Option<First>)> {
         let mut child = decoding.start(path)?;
         let no_pipe = || std::io::Error::other("no pipe to it");
         let stdout = child.stdout.take().ok_or_else(no_pipe)?;
         let stderr = child.stderr.take().ok_or_else(no_pipe)?;
         let (sender, messages) = channel();
-        // Messages are read on a thread of their own: a full pipe of them would block the frames as well.
+        // A separate thread reads the messages: a full pipe of messages would block the frames as well.
         let complaints = Some(std::thread::spawn(move || listen(stderr, &sender)));
         let mut running = Running { child, messages, numbers: Numbers::default(), early: None, complaints };
         let first = running.first();
         Ok((running, stdout, first))
     }
 
-    /// Properties of the first frame; none if there is no frame.
+    /// Returns the properties of the first frame; `None` if there is no frame.
     fn first(&mut self) -> Option<First> {
         let mut first = First::default();
         loop {
@@ -102,7 +102,8 @@ impl Running {
         Some(first)
     }
 
-    /// Time stamp and size of a frame by its number, whose picture has been read; none if there is no message for it.
+    /// Returns time stamp and size of the frame with this number, whose picture has been read; `None` if it has no
+    /// message.
     pub(super) fn frame(&mut self, wanted: usize) -> Option<(Option<i64>, (usize, usize))> {
         loop {
             let (number, time, size) = match self.early.take() {
@@ -122,14 +123,14 @@ impl Running {
         }
     }
 
-    /// Waits for its end: true if it succeeded, and its messages.
+    /// Waits for the process to end; returns whether it succeeded, and its messages.
     pub(super) fn end(&mut self) -> std::io::Result<(bool, Complaints)> {
         let status = self.child.wait()?;
         let complaints = self.complaints.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
         Ok((status.success(), complaints))
     }
 
-    /// Stops it.
+    /// Stops the process.
     pub(super) fn kill(&mut self) {
         let _ = self.child.kill();
     }
@@ -137,13 +138,13 @@ impl Running {
 
 impl Drop for Running {
     fn drop(&mut self) {
-        // Stopped early, it would wait for ever on a full pipe.
+        // A process that is still writing would wait forever on a full pipe.
         self.kill();
         let _ = self.child.wait();
     }
 }
 
-/// Sends the messages on frames to `sender` and collects complaints.
+/// Sends the messages on frames to `sender` and collects the errors.
 fn listen(stderr: ChildStderr, sender: &Sender<Message>) -> Complaints {
     let mut found = Complaints::default();
     let mut input = BufReader::new(stderr);
@@ -161,9 +162,9 @@ fn listen(stderr: ChildStderr, sender: &Sender<Message>) -> Complaints {
                     }
                 }
                 Message::Other => {}
-                // Only the first frame's are used.
+                // Only the first frame's colours are used.
                 Message::Colours(_) if std::mem::replace(&mut coloured, true) => {}
-                // The receiver may be gone; complaints still count.
+                // The receiver may be gone; errors still count.
                 message => _ = sender.send(message),
             }
         }

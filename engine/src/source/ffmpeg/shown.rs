@@ -2,37 +2,38 @@
 
 use crate::source::colour::Tags;
 
-/// Kind of a frame.
+/// Properties of a frame's picture.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Look {
     /// ffmpeg's name of the samples' format.
     pub(super) format: String,
     /// A pixel's width to its height, where it is not square.
     pub(super) aspect: Option<(u32, u32)>,
-    /// True if it is two fields.
+    /// True if the frame is two fields.
     pub(super) interlaced: bool,
     pub(super) tags: Tags,
 }
 
-/// A line of messages, as `-v repeat+level+info` writes them.
+/// A line of messages, as printed with `-v repeat+level+info`.
 #[derive(Debug, PartialEq)]
 pub(super) enum Message {
-    /// Seconds of a tick of the frames' times, and frames per second where they follow each other evenly; as fractions.
+    /// Seconds per tick of the frames' times, and frames per second if frames are evenly spaced; as fractions.
     Config { tick: (u32, u32), rate: Option<(u32, u32)> },
-    /// A frame by its number since the filters were set up, at this tick.
+    /// A frame: its number since the filters were set up, and its time in ticks.
     Frame { number: usize, time: Option<i64>, size: (usize, usize), look: Look },
-    /// Colours of the frame before.
+    /// Colours of the previous frame.
     Colours(Tags),
-    /// An error of the file, or of reading it.
+    /// An error in the file, or in reading it.
     Complaint(String),
     /// Anything else.
     Other,
 }
 
-/// Errors of H.264 decoders that do not affect pictures: a reference frame to be released has been released already.
+/// Errors of H.264 decoders that do not affect pictures: a reference frame that should be released was released
+/// already.
 const HARMLESS: [&str; 1] = ["mmco: unref short failure"];
 
-/// Warnings that something is missing.
+/// Warnings about missing data.
 const LOST: [&str; 2] = ["dropping it", "corrupt decoded frame"];
 
 impl Message {
@@ -43,7 +44,7 @@ impl Message {
             let harmless = HARMLESS.iter().any(|harmless| text.starts_with(harmless));
             return if harmless || text.is_empty() { Message::Other } else { Message::Complaint(text.to_owned()) };
         }
-        // After another thread's message on the same line there is no context.
+        // The context is missing if another thread's message came first on the line.
         if !context.contains("showinfo") && !starts_a_frame(text) {
             return Message::Other;
         }
@@ -73,15 +74,15 @@ impl Message {
     }
 }
 
-/// Returns true for `n:   7 pts: 280 …`.
+/// Returns true for text like `n:   7 pts: 280 …`.
 fn starts_a_frame(text: &str) -> bool {
     let Some(rest) = text.strip_prefix("n:") else { return false };
     let rest = rest.trim_start().trim_start_matches(|c: char| c.is_ascii_digit());
     rest.starts_with(" pts:") && text.contains(" fmt:")
 }
 
-/// The messages on a line. The filter writes a line in several pieces, between which other threads of ffmpeg may write
-/// messages of their own: a context after other text, or a frame's number, begins a message.
+/// Splits a line into messages. The filter writes a line in several pieces, and other threads of ffmpeg may write
+/// messages between them. A context after other text, or a frame's number, starts a message.
 pub(super) fn messages(line: &str) -> Vec<&str> {
     let mut parts = Vec::new();
     let mut start = 0;
@@ -100,7 +101,7 @@ pub(super) fn messages(line: &str) -> Vec<&str> {
     parts
 }
 
-/// `[context @ 0x55] [level] text` in its parts; there may be any number of contexts.
+/// Splits `[context @ 0x55] [level] text` into its parts; there may be any number of contexts.
 fn split(line: &str) -> (&str, &str, &str) {
     let mut rest = line.trim();
     let (mut context, mut level) = ("", "");
@@ -117,13 +118,13 @@ fn split(line: &str) -> (&str, &str, &str) {
     (context, level, rest)
 }
 
-/// The word after `key`, with or without blanks between them.
+/// Returns the word after `key`, with or without blanks between them.
 fn value<'a>(text: &'a str, key: &str) -> Option<&'a str> {
     let (_, rest) = text.split_once(key)?;
     rest.split_whitespace().next()
 }
 
-/// The ratio in a text such as `30000/1001` or `4:3`; none where a part is 0.
+/// Parses a ratio such as `30000/1001` or `4:3`; `None` where a part is 0.
 pub(super) fn ratio(text: &str) -> Option<(u32, u32)> {
     let (a, b) = text.split_once(['/', ':'])?;
     let (a, b) = (a.trim_end_matches(',').parse().ok()?, b.trim_end_matches([',', ']']).parse().ok()?);
@@ -198,7 +199,7 @@ mod tests {
                 "[avi @ 0x1] [warning] Packet corrupt (stream = 0, dts = 81), dropping it.",
                 Some("Packet corrupt (stream = 0, dts = 81), dropping it."),
             ),
-            // Where streams were joined a counter is out of step, and nothing is lost.
+            // Where streams were joined, a counter is out of step, and nothing is lost.
             ("[mpegts @ 0x1] [warning] Packet corrupt (stream = 0, dts = 297000).", None),
             ("[h264 @ 0x1] [error] mmco: unref short failure", None),
             ("[swscaler @ 0x1] [warning] deprecated pixel format used", None),

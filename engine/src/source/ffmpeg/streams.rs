@@ -1,8 +1,8 @@
-//! Streams of a file, as ffmpeg lists them, and which of them is the video.
+//! Streams of a file, as ffmpeg lists them, and the choice of the video among them.
 //!
-//! `ffmpeg -i FILE` is all that this needs, so installations without ffprobe read the same frames. Its list is meant
-//! for people, but its lines have kept their form for many versions; what a frame's format and colours are is taken
-//! from the first decoded frame ([`super::shown`]), the list's words only being a guess that spares a second start.
+//! This uses only `ffmpeg -i FILE`, so installations without ffprobe read the same frames. The list is made for people,
+//! but the form of its lines has been stable for many versions. Format and colours of the frames are taken from the
+//! first decoded frame ([`super::shown`]). The list's values are only a guess that saves a second start.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -12,14 +12,14 @@ use super::program;
 use super::shown::Look;
 use crate::source::colour::Tags;
 
-/// Frames beyond which a file is not believed.
+/// Frame counts above this are implausible and ignored.
 const MOST_FRAMES: f64 = 1e9;
-/// By how much the mean rate and the nominal rate of a stream may differ before its frames are counted.
+/// Relative difference of mean and nominal rate above which a stream's frames are counted.
 const SAME_RATE: f64 = 0.01;
-/// Part of the longest stream's length that a stream must have to be as long.
+/// Fraction of the longest stream's length from which a stream counts as equally long.
 const AS_LONG: f64 = 0.5;
 
-/// Names that are a matrix, primaries and a transfer; a list has one name where all three are the same.
+/// Names that denote a matrix, primaries and a transfer; the list prints one name where all three are the same.
 const SHARED: [&str; 4] = ["bt709", "bt470bg", "smpte170m", "smpte240m"];
 
 /// A video stream.
@@ -30,19 +30,19 @@ pub(super) struct Stream {
     /// ffmpeg's name of its codec.
     pub(super) codec: String,
     pub(super) size: (usize, usize),
-    /// Probable kind of its frames.
+    /// Properties of its frames according to the list.
     pub(super) look: Look,
-    /// Frames per second in the mean, and nominal.
+    /// Frames per second: mean (`mean`) and nominal.
     mean: Option<f64>,
     nominal: Option<f64>,
-    /// Seconds, counted as the file's [`Listing::start`].
+    /// Start in seconds, on the same clock as the file's [`Listing::start`].
     start: Option<f64>,
     default: bool,
-    /// A cover, or another picture that does not move.
+    /// True for a cover, or another picture that does not move.
     pub(super) cover: bool,
-    /// Declared to be a still.
+    /// True if the file declares it a still.
     still: bool,
-    /// A part of another stream's pictures.
+    /// True for a part of another stream's pictures.
     dependent: bool,
 }
 
@@ -52,20 +52,20 @@ pub(super) struct Listing {
     pub(super) videos: Vec<Stream>,
     /// Codec of the first sound track, in ffmpeg's names.
     pub(super) sound: Option<String>,
-    /// Seconds of the longest stream, and when the first one starts.
+    /// Seconds of the longest stream (`duration`), and the time when the first one starts.
     duration: Option<f64>,
     start: Option<f64>,
-    /// True if pictures are put together of tiles.
+    /// True if pictures are composed of tiles.
     tiles: bool,
-    /// True of transport streams, whose packets are marked as broken where two streams were joined.
+    /// True for transport streams, whose packets are marked as broken where two streams were joined.
     pub(super) joined: bool,
-    /// True of text, which ffmpeg draws as a terminal would.
+    /// True for text, which ffmpeg draws as a terminal would.
     text: bool,
-    /// True for Matroska: its rates are declarations, which the frames' times may contradict.
+    /// True for Matroska: its rates are only declarations, which the frames' times may contradict.
     pub(super) declared: bool,
 }
 
-/// Frames of a stream, counted.
+/// Number and times of a stream's frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Count {
     pub(super) frames: usize,
@@ -83,7 +83,7 @@ impl Listing {
 
     fn parse(text: &str) -> Listing {
         let mut found = Listing::default();
-        // Titles and the like follow after four blanks or more, which streams of a group do, too.
+        // Lines of metadata, such as titles, are indented by four blanks or more; so are the streams of a group.
         let mut deepest = 2;
         for line in text.lines() {
             let depth = line.len() - line.trim_start().len();
@@ -113,7 +113,7 @@ impl Listing {
         found
     }
 
-    /// Why none of the streams is a video, in words; none where one is.
+    /// Returns the reason why no stream is a video, or `None` if one is.
     pub(super) fn refusal(&self) -> Option<&'static str> {
         match (self.videos.iter().any(Stream::may_move), &self.sound) {
             _ if self.text => Some("expected a video, found a text file"),
@@ -126,8 +126,8 @@ impl Listing {
         }
     }
 
-    /// The stream to read, and a line for each that is left out. `count` counts frames, stream by stream, which is done
-    /// where there is a choice.
+    /// Chooses the stream to read, and returns a note for each that is left out. `count` counts frames, stream by
+    /// stream; it is called only if there is a choice.
     pub(super) fn choose(&self, count: impl FnOnce() -> Vec<(usize, Count)>) -> Option<(&Stream, Vec<String>)> {
         let candidates: Vec<&Stream> = self.videos.iter().filter(|stream| stream.may_move()).collect();
         let counts = if candidates.len() > 1 { count() } else { Vec::new() };
@@ -155,8 +155,8 @@ impl Listing {
         Some((chosen, left_out.collect()))
     }
 
-    /// Estimated number of frames in a stream, from the duration of the file, the stream's mean rate and the time of
-    /// its first frame, if already read.
+    /// Estimates the number of frames in a stream from the file's duration, the stream's mean rate and, if already
+    /// read, the time of its first frame.
     pub(super) fn frames(&self, stream: &Stream, first: Option<f64>) -> Option<usize> {
         let own = first.or(stream.start);
         let late = own.zip(self.start).map_or(0.0, |(own, file)| (own - file).max(0.0));
@@ -170,7 +170,8 @@ impl Stream {
         !self.cover && !self.dependent
     }
 
-    /// True if the file has no mean rate, or one that differs from the nominal rate: its frames are counted to find it.
+    /// Returns true if the mean rate is missing or differs from the nominal rate; the frames are then counted to find
+    /// it.
     pub(super) fn rate_is_open(&self) -> bool {
         match self.mean.zip(self.nominal) {
             Some((mean, nominal)) => (mean / nominal - 1.0).abs() > SAME_RATE,
@@ -179,7 +180,7 @@ impl Stream {
     }
 }
 
-/// `Stream #0:1[0x2](und): Video: h264 …` in its number, kind and the rest.
+/// Splits `Stream #0:1[0x2](und): Video: h264 …` into its number, kind and the rest.
 fn stream(line: &str) -> Option<(usize, &str, &str)> {
     let rest = line.strip_prefix("Stream #0:")?;
     let digits = rest.find(|c: char| !c.is_ascii_digit())?;
@@ -193,13 +194,13 @@ fn first_word(text: &str) -> &str {
     text.split([' ', ',']).next().unwrap_or_default()
 }
 
-/// The number after `key`.
+/// Returns the number after `key`.
 fn after(text: &str, key: &str) -> Option<f64> {
     let (_, rest) = text.split_once(key)?;
     first_word(rest).parse().ok()
 }
 
-/// Seconds of `00:01:02.50`.
+/// Parses `00:01:02.50` to seconds.
 fn clock(text: &str) -> Option<f64> {
     let mut seconds = 0.0;
     for part in text.trim().split(':') {
@@ -208,7 +209,7 @@ fn clock(text: &str) -> Option<f64> {
     Some(seconds)
 }
 
-/// The parts of a line between its commas, those in brackets left whole.
+/// Splits a line at its commas, except those in brackets.
 fn parts(text: &str) -> Vec<&str> {
     let (mut parts, mut depth, mut from) = (Vec::new(), 0usize, 0);
     for (at, c) in text.char_indices() {
@@ -226,14 +227,14 @@ fn parts(text: &str) -> Vec<&str> {
     parts
 }
 
-/// A rate of the list: `29.97`, `90k`.
+/// Parses a rate of the list: `29.97`, `90k`.
 fn rate(part: &str, unit: &str) -> Option<f64> {
     let number = part.strip_suffix(unit)?.trim_end();
     let (number, times) = number.strip_suffix('k').map_or((number, 1.0), |number| (number, 1000.0));
     number.parse::<f64>().ok().map(|rate| rate * times).filter(|rate| *rate > 0.0)
 }
 
-/// `320x180 [SAR 4:3 DAR 64:27]` in columns and rows.
+/// Parses `320x180 [SAR 4:3 DAR 64:27]` to columns and rows.
 fn size(part: &str) -> Option<(usize, usize)> {
     let (width, height) = first_word(part).split_once('x')?;
     Some((width.parse().ok()?, height.parse().ok()?))
@@ -260,7 +261,7 @@ fn video(index: usize, text: &str) -> Option<Stream> {
             found.size = size;
         }
         if let Some((_, aspect)) = part.split_once("SAR ") {
-            // The container's, which comes later, replaces the codec's.
+            // The container's aspect is printed later and overrides the codec's.
             found.look.aspect = super::shown::ratio(first_word(aspect)).filter(|(w, h)| w != h);
         }
         found.mean = found.mean.or_else(|| rate(part, " fps"));
@@ -276,7 +277,7 @@ fn video(index: usize, text: &str) -> Option<Stream> {
                 let mut names = word.split('/');
                 let (matrix, primaries, transfer) = (names.next(), names.next(), names.next());
                 if primaries.is_some() || matrix.is_some_and(|name| SHARED.contains(&name)) {
-                    // A single name is printed if all three are the same.
+                    // A single name is printed if matrix, primaries and transfer are the same.
                     found.look.tags = Tags::of(matrix, primaries.or(matrix), transfer.or(matrix));
                 }
             }
@@ -288,12 +289,12 @@ fn video(index: usize, text: &str) -> Option<Stream> {
 /// ffmpeg's flag of packets whose frames are not shown.
 const DISCARD: u32 = 4;
 
-/// Most packets by which the order of decoding differs from that of showing.
+/// Maximum number of packets by which decoding order and display order differ.
 const REORDERED: usize = 32;
-/// Ticks by which rounding makes one length of an even rate differ from another.
+/// Ticks by which rounding changes the frame durations of an even rate.
 const ROUNDED: i64 = 2;
 
-/// Frames of streams, as the lines of the `framecrc` muxer count them: `0, DTS, PTS, DURATION, SIZE, CRC` after `#tb 0:
+/// Frame counts of streams, from the lines of the `framecrc` muxer: `0, DTS, PTS, DURATION, SIZE, CRC` after `#tb 0:
 /// 1/1000`.
 #[derive(Debug, Default)]
 pub(super) struct Counter {
@@ -302,20 +303,20 @@ pub(super) struct Counter {
 
 #[derive(Debug, Default)]
 struct Counted {
-    /// Seconds of a tick.
+    /// Seconds per tick.
     tick: f64,
     frames: usize,
-    /// Times in ticks that are not in `shown` yet, the first on top.
+    /// Times in ticks that are not in `shown` yet, the smallest on top.
     waiting: BinaryHeap<Reverse<i64>>,
     shown: Shown,
 }
 
-/// Times in ticks, in the order of showing.
+/// Times in ticks, in display order.
 #[derive(Clone, Copy, Debug, Default)]
 struct Shown {
-    /// The first and the last.
+    /// The first and the last time.
     span: Option<(i64, i64)>,
-    /// The least and the largest difference of two that follow each other.
+    /// The smallest and the largest difference of consecutive times.
     lengths: Option<(i64, i64)>,
 }
 
@@ -362,7 +363,7 @@ impl Counter {
         }
     }
 
-    /// The counts, stream by stream.
+    /// Returns the counts, stream by stream.
     pub(super) fn counts(self) -> Vec<Count> {
         let count = |Counted { tick, frames, waiting, mut shown }| {
             waiting.into_sorted_vec().into_iter().rev().for_each(|Reverse(time)| shown.add(time));
@@ -378,7 +379,7 @@ impl Counter {
 mod tests {
     use super::*;
 
-    /// Listings of two versions for files of several kinds.
+    /// Listings by two versions of ffmpeg for files of several kinds.
     const COVER: &str = "Input #0, mov,mp4,m4a,3gp,3g2,mj2, from 'covfirst.mp4':
   Metadata:
     title           : Stream #0:7: Video: h264, yuv420p, 8x8, 25 fps
@@ -426,7 +427,7 @@ At least one output file must be specified
         };
         let (stream, lines) = listing.choose(|| counts([1, 9], [0.0, 0.8])).expect("a video");
         assert_eq!((stream.index, &lines[..]), (1, &["the still picture 0:0 (av1, 64×48) is left out".to_owned()][..]));
-        // If two move: the default, then the longer, then the larger, then the first.
+        // If two streams move: the default, then the longer, then the larger, then the first.
         let mut two = listing;
         let mut chosen = |default: [bool; 2], wide: [usize; 2], seconds: [f64; 2]| {
             for i in 0..2 {
@@ -488,7 +489,7 @@ At least one output file must be specified
         let mut late = even.clone();
         late[60] += 20;
         assert!(count(&late).uneven && count(&reordered(&late)).uneven);
-        // A frame that is missing near the end.
+        // A frame is missing near the end.
         let missing: Vec<i64> = even.iter().copied().filter(|time| *time != even[98]).collect();
         assert!(count(&missing).uneven);
         assert_eq!((count(&even).frames, count(&[]).uneven, count(&[5]).uneven), (100, false, false));

@@ -1,14 +1,14 @@
-//! When frames are shown.
+//! Times at which frames are shown.
 
-/// Part of a frame's length within which a time is that of an even rate, where ticks are longer than that.
+/// Fraction of a frame's duration within which a time counts as even, if ticks are longer than that.
 const JITTER: f64 = 0.25;
 
-/// Seconds since the first frame of one frame after the other, from their time stamps.
+/// Seconds since the first frame, for consecutive frames, from their time stamps.
 ///
-/// A time that differs by at most a tick from its place in the stream's nominal rate is that place: containers round
-/// times to their ticks. A frame without a time stamp follows the frame before at the nominal rate; one with a time
-/// that is not after that frame's, as closely as ticks allow. Time stamps that jump back by more than a frame count on
-/// from there.
+/// Containers round times to ticks. A time within a tick of its frame's place at the stream's nominal rate is therefore
+/// replaced by that place. A frame without a time stamp follows the previous frame at the nominal rate. A frame whose
+/// time is not after the previous frame's follows it as closely as ticks allow. If time stamps jump back by more than a
+/// frame, times continue from there with an offset.
 #[derive(Clone, Debug)]
 pub(super) struct Clock {
     tick: (u32, u32),
@@ -16,9 +16,9 @@ pub(super) struct Clock {
     first: Option<i64>,
     frames: usize,
     last: f64,
-    /// Offset of time stamps that have jumped back, in seconds.
+    /// Offset added to time stamps that have jumped back, in seconds.
     shift: Option<f64>,
-    /// Frames that were moved.
+    /// Number of frames that were moved.
     pub(super) moved: usize,
 }
 
@@ -27,17 +27,17 @@ impl Clock {
         Clock { tick, rate, first: None, frames: 0, last: 0.0, shift: None, moved: 0 }
     }
 
-    /// Seconds of a time stamp.
+    /// Converts a time stamp to seconds.
     pub(super) fn seconds(&self, time: i64) -> f64 {
         time as f64 * f64::from(self.tick.0) / f64::from(self.tick.1)
     }
 
-    /// When the next frame is shown.
+    /// Returns the time of the next frame.
     pub(super) fn next(&mut self, time: Option<i64>) -> f64 {
         let index = self.frames;
         self.frames += 1;
         let tick = self.seconds(1);
-        // The nominal place of this frame, and the length of one.
+        // The nominal time of this frame, and the nominal duration.
         let even = self.rate.map(|(a, b)| (index as f64 * f64::from(b) / f64::from(a), f64::from(b) / f64::from(a)));
         if index == 0 {
             self.first = time;
@@ -64,7 +64,7 @@ impl Clock {
                     if own > self.last - 0.99 * length {
                         self.last + tick.min(JITTER * length)
                     } else {
-                        // They count anew from here on.
+                        // Time stamps restart here.
                         self.shift = Some(self.last + length - own);
                         self.last + length
                     }
@@ -90,7 +90,7 @@ mod tests {
 
     #[test]
     fn even_times_are_those_of_the_rate_to_the_last_bit() {
-        // Matroska: milliseconds, of 24 frames a second from 7 ms on.
+        // Matroska: milliseconds of 24 frames a second, from 7 ms on.
         let (found, _) = times((1, 1000), Some((24, 1)), &at(&[7, 49, 90, 132, 174]));
         assert_eq!(found, [0.0, 1.0 / 24.0, 2.0 / 24.0, 3.0 / 24.0, 4.0 / 24.0]);
         let (found, _) = times((1001, 30000), Some((30000, 1001)), &at(&[5, 6, 7]));
@@ -99,9 +99,9 @@ mod tests {
 
     #[test]
     fn uneven_times_are_the_frames_own() {
-        // A pause of a frame where a tick is a frame.
+        // A gap of one frame where a tick is a frame.
         assert_eq!(times((1, 25), Some((25, 1)), &at(&[0, 1, 3, 4])).0, [0.0, 1.0 / 25.0, 3.0 / 25.0, 4.0 / 25.0]);
-        // A recorder's, whose nominal rate is that of its ticks.
+        // A recording whose nominal rate is that of its ticks.
         assert_eq!(times((1, 1000), Some((1000, 1)), &at(&[0, 34, 100, 131])).0, [0.0, 0.034, 0.1, 0.131]);
         assert_eq!(times((1, 1000), None, &at(&[-5, 30, 90])).0, [0.0, 0.035, 0.095]);
     }
@@ -111,7 +111,7 @@ mod tests {
         let (found, moved) = times((1, 1000), Some((25, 1)), &[Some(0), Some(0), Some(80), None, Some(100), Some(160)]);
         assert_eq!(found, [0.0, 0.001, 0.08, 0.12, 0.121, 0.16]);
         assert_eq!(moved, 2);
-        // Stamps that jump back for good, and for one frame.
+        // Time stamps that jump back for good, and for one frame.
         let (found, moved) = times((1, 1000), Some((25, 1)), &at(&[0, 40, 80, 120, 0, 40, 80, 120, 160, 200]));
         assert_eq!((found, moved), ((0..10).map(|i| f64::from(i) / 25.0).collect(), 1));
         let (found, moved) = times((1, 1000), Some((25, 1)), &at(&[0, 40, 80, 0, 160, 200]));

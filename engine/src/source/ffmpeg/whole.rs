@@ -1,8 +1,7 @@
-//! Test that a file is as long as its container declares.
+//! Check that a file is as long as its container declares.
 //!
-//! ffmpeg does not complain of every file that was cut: where the cut is between two packets, or the container is one
-//! of those that it reads to at any place, the frames are fewer and its exit status is 0. The container's own
-//! declaration is checked here:
+//! ffmpeg does not report every truncated file. If the cut is between two packets, or the container can be read up to
+//! any position, there are fewer frames and the exit status is 0. This module checks the container's own declaration:
 //!
 //! | container | check |
 //! |---|---|
@@ -13,7 +12,7 @@
 //! | Ogg | the flag of the last page |
 //! | GIF | the trailer |
 //!
-//! Sizes that are left open, as live recordings leave them, are not checked. MPEG streams declare nothing.
+//! Sizes that are left open, as in live recordings, are not checked. MPEG streams declare nothing.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -24,12 +23,12 @@ const BOXES: [&[u8; 4]; 14] = [
     b"ftyp", b"styp", b"moov", b"mdat", b"free", b"skip", b"wide", b"moof", b"mfra", b"sidx", b"uuid", b"meta",
     b"pnot", b"udta",
 ];
-/// Most bytes of a page of Ogg.
+/// Maximum size of an Ogg page, in bytes.
 const PAGE: u64 = 65_307;
 /// Bytes at the beginning of an FLV file that hold its metadata.
 const METADATA: u64 = 1 << 16;
 
-/// A description of the missing part; `None` if the file is whole or its container declares no length.
+/// Describes the missing part; `None` if the file is whole or its container declares no length.
 pub(super) fn missing(path: &Path) -> Option<String> {
     let mut file = File::open(path).ok()?;
     let length = file.metadata().ok().filter(std::fs::Metadata::is_file)?.len();
@@ -46,7 +45,7 @@ pub(super) fn missing(path: &Path) -> Option<String> {
     (declared > length).then(|| format!("the file is cut off: expected {declared} bytes, found {length}"))
 }
 
-/// At most `count` bytes from `at` on.
+/// Reads at most `count` bytes from offset `at`.
 fn bytes(file: &mut File, at: u64, count: u64) -> Option<Vec<u8>> {
     let mut bytes = Vec::new();
     file.seek(SeekFrom::Start(at)).ok()?;
@@ -54,7 +53,7 @@ fn bytes(file: &mut File, at: u64, count: u64) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// Where the outermost box that passes the end of the file ends, or the last.
+/// Returns the end of the first outermost box that extends past the file's end, or else of the last box.
 fn boxes(file: &mut File, length: u64) -> Option<u64> {
     let mut at = 0_u64;
     while at < length {
@@ -64,7 +63,7 @@ fn boxes(file: &mut File, length: u64) -> Option<u64> {
             break;
         }
         let size = match u32::from_be_bytes(*head.first_chunk()?) {
-            // To the end of the file.
+            // The box extends to the end of the file.
             0 => break,
             1 => u64::from_be_bytes(head.get(8..16)?.try_into().ok()?),
             size => u64::from(size),
@@ -74,7 +73,7 @@ fn boxes(file: &mut File, length: u64) -> Option<u64> {
     Some(at)
 }
 
-/// Where the outermost chunk that passes the end of an AVI file ends, or the last.
+/// Returns the end of the first outermost chunk of an AVI file that extends past the file's end, or else of the last.
 fn chunks(file: &mut File, length: u64) -> Option<u64> {
     let mut at = 0_u64;
     while at < length {
@@ -84,7 +83,7 @@ fn chunks(file: &mut File, length: u64) -> Option<u64> {
         }
         match u32::from_le_bytes(head.get(4..8)?.try_into().ok()?) {
             0 | u32::MAX => return None,
-            // The last byte of an odd chunk may be left out.
+            // The padding byte of an odd chunk may be missing.
             size => at = at.checked_add(8 + u64::from(size))?,
         }
         at += u64::from(at % 2 == 1 && at < length);
@@ -92,8 +91,8 @@ fn chunks(file: &mut File, length: u64) -> Option<u64> {
     Some(at)
 }
 
-/// Where the segment of a Matroska file ends: EBML's head and the segment's, each an identity and a length of variable
-/// size.
+/// Returns the declared end of a Matroska file's segment, from EBML's header and the segment's; each is an identifier
+/// and a length of variable size.
 fn segment(start: &[u8]) -> Option<u64> {
     let (head, at) = variable(start, 4)?;
     let at = at.checked_add(usize::try_from(head?).ok()?)?;
@@ -104,7 +103,7 @@ fn segment(start: &[u8]) -> Option<u64> {
     size?.checked_add(at as u64)
 }
 
-/// The number of variable length at `at`, `None` if it is unknown, and the index after it.
+/// Reads the variable-length number at `at`. Returns it, `None` if it is unknown, and the index after it.
 fn variable(bytes: &[u8], at: usize) -> Option<(Option<u64>, usize)> {
     let first = *bytes.get(at)?;
     let count = first.leading_zeros() as usize + 1;
@@ -114,7 +113,7 @@ fn variable(bytes: &[u8], at: usize) -> Option<(Option<u64>, usize)> {
     Some(((number != mask).then_some(number), at + count))
 }
 
-/// The number `filesize` of the metadata of an FLV file.
+/// Returns the number `filesize` of an FLV file's metadata.
 fn filesize(start: &[u8]) -> Option<u64> {
     const NAME: &[u8] = b"\x00\x08filesize\x00";
     let at = start.windows(NAME.len()).position(|word| word == NAME)? + NAME.len();
@@ -123,12 +122,12 @@ fn filesize(start: &[u8]) -> Option<u64> {
     (size > 0.0).then_some(size as u64)
 }
 
-/// The last page must end one of the streams.
+/// Checks that the last page ends one of the streams.
 fn last_page(file: &mut File, length: u64) -> Option<String> {
     let end = bytes(file, length.saturating_sub(2 * PAGE), 2 * PAGE)?;
     let at = end.windows(4).rposition(|word| word == b"OggS")?;
     let ends = end.get(at + 5).is_some_and(|flags| flags & 4 != 0);
-    // 26 bytes, the number of lengths, the lengths, the data.
+    // A page has 26 bytes, the number of lengths, the lengths, and the data.
     let size = || {
         let segments = usize::from(*end.get(at + 26)?);
         let lengths = end.get(at + 27..at + 27 + segments)?;
@@ -139,7 +138,7 @@ fn last_page(file: &mut File, length: u64) -> Option<String> {
         .then(|| format!("the file is cut off: expected a page that ends the stream, found none in {length} bytes"))
 }
 
-/// A GIF file must end in a trailer after its blocks.
+/// Checks that a GIF file ends in a trailer after its blocks.
 fn trailer(file: File) -> Option<String> {
     let length = file.metadata().ok()?.len();
     let mut reader = BufReader::new(file);
@@ -148,7 +147,7 @@ fn trailer(file: File) -> Option<String> {
     (!whole).then(|| format!("the file is cut off: expected a trailer, found none in {length} bytes"))
 }
 
-/// `None` where the file ends before.
+/// Returns `None` if the file ends too early.
 fn ends_in_trailer(reader: &mut (impl Read + Seek)) -> Option<bool> {
     let byte = |reader: &mut dyn Read| {
         let mut byte = [0];
@@ -168,7 +167,7 @@ fn ends_in_trailer(reader: &mut (impl Read + Seek)) -> Option<bool> {
             0x2c => {
                 let mut image = [0; 9];
                 reader.read_exact(&mut image).ok()?;
-                // The colours, and the least size of a code.
+                // The colours, and the minimum code size.
                 skip(reader, colours(image[8]) + 1)?;
             }
             // Padding between blocks.
@@ -188,7 +187,7 @@ fn ends_in_trailer(reader: &mut (impl Read + Seek)) -> Option<bool> {
 mod tests {
     use super::*;
 
-    /// The lengths at which the beginning of a file counts as whole.
+    /// Returns the prefix lengths at which a file counts as whole.
     fn whole_at(file: &[u8]) -> Vec<usize> {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("a");
@@ -196,7 +195,7 @@ mod tests {
             std::fs::write(&path, &file[..length]).expect("writable");
             missing(&path).is_none()
         });
-        // Shorter beginnings may not be recognised as this container.
+        // Shorter prefixes may not be recognised as this container.
         lengths.filter(|&length| length >= 40).collect()
     }
 
@@ -209,7 +208,7 @@ mod tests {
         let mut file =
             [mp4_box(b"ftyp", b"isom\0\0\0\0"), mp4_box(b"moov", &[7; 30]), mp4_box(b"mdat", &[9; 50])].concat();
         let length = file.len();
-        // A cut between two boxes cannot be found.
+        // A cut between two boxes cannot be detected.
         let between: Vec<usize> = (54..62).collect();
         assert_eq!(whole_at(&file), [&between[..], &[length]].concat());
         file.extend(b"a trailer of another kind");

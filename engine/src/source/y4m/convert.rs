@@ -2,8 +2,8 @@
 //!
 //! With `s = 2^(bits−8)` and `m = 2^bits − 1`:
 //!
-//! - limited range: `y = (Y − 16 s) / (219 s)`, `b = (Cb − 128 s) / (224 s)`, `r` likewise; full range: `y = Y / m`,
-//!   `b = (Cb − 128 s) / m`.
+//! - limited range: `y = (Y − 16 s) / (219 s)`, `b = (Cb − 128 s) / (224 s)`, `r` likewise; full range: `y = Y / m`, `b
+//!   = (Cb − 128 s) / m`.
 //! - `R = y + 2(1−Kr) r`, `B = y + 2(1−Kb) b`, `G = (y − cg_b b) − cg_r r` with `cg_b = 2(1−Kb) Kb / Kg`,
 //!   `cg_r = 2(1−Kr) Kr / Kg`, `Kg = 1 − Kr − Kb`; each clamped to `[0, 1]`.
 //! - y4m has no tag for the matrix: [`Header::matrix`] is chosen by the picture's size ([`Matrix::of_size`]) unless the
@@ -16,7 +16,7 @@ use super::header::{Chroma, Header, Siting};
 use crate::picture::Picture;
 pub use crate::source::colour::Matrix;
 
-/// Where each luma position falls between chroma samples: first sample, second sample, weight of the second.
+/// Returns the position of each luma sample between chroma samples: first sample, second sample, weight of the second.
 fn positions(count: usize, samples: usize, step: f32, offset: f32) -> Vec<(usize, usize, f32)> {
     let last = samples - 1;
     (0..count)
@@ -32,7 +32,7 @@ fn mix(a: f32, b: f32, weight: f32) -> f32 {
     a + (b - a) * weight
 }
 
-/// A chroma plane brought to luma size.
+/// Interpolates a chroma plane to luma size.
 fn upsample(plane: &[f32], (cw, ch): (usize, usize), header: &Header) -> Vec<f32> {
     let (width, height) = (header.width, header.height);
     // The distance between chroma samples, and the luma position of the first one.
@@ -66,7 +66,7 @@ fn samples(bytes: &[u8], header: &Header, zero: f32, span: f32) -> Vec<f32> {
     }
 }
 
-/// The picture of one frame's bytes (`header.frame_bytes()` of them).
+/// Converts one frame's bytes (`header.frame_bytes()` of them) to a picture.
 pub fn to_picture(bytes: &[u8], header: &Header) -> Picture {
     let (width, height) = (header.width, header.height);
     let plane = width * height;

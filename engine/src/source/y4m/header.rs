@@ -6,24 +6,24 @@ use crate::source::colour::Matrix;
 /// Longest header line accepted, in bytes.
 pub const MAX_LINE: usize = 4096;
 
-/// How chroma planes relate to the luma plane.
+/// Size of the chroma planes relative to the luma plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Chroma {
     /// Luma alone.
     Mono,
     /// Half width, half height, at `Siting`.
     C420(Siting),
-    /// Half width, full height; samples lie on every second luma column.
+    /// Half width, full height; samples are at every second luma column.
     C422,
-    /// Quarter width, full height; samples lie on every fourth luma column.
+    /// Quarter width, full height; samples are at every fourth luma column.
     C411,
     /// Full size.
     C444,
-    /// Full size, with a plane of alpha after the chroma planes.
+    /// Full size, with an alpha plane after the chroma planes.
     C444Alpha,
 }
 
-/// Where a 4:2:0 chroma sample lies in its 2×2 luma pixels.
+/// Position of a 4:2:0 chroma sample in its 2×2 luma pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Siting {
     /// In the middle (`420jpeg`, `420`).
@@ -45,23 +45,23 @@ pub struct Header {
     pub rate: Option<(u64, u64)>,
     /// Chroma planes.
     pub chroma: Chroma,
-    /// Bits per sample: 8 to 16. More than 8 are stored in two bytes, little end first.
+    /// Bits per sample: 8 to 16. Samples of more than 8 bits are two bytes, little-endian.
     pub bits: u32,
     /// True if samples span the full range (`XCOLORRANGE=FULL`). Without that parameter it is true for luma alone
     /// (`Cmono`), as ffmpeg writes it.
     pub full_range: bool,
     /// True if the header states the range.
     pub range_stated: bool,
-    /// The matrix of the planes; none where they are green, blue and red, which is never so by the header alone.
+    /// The matrix of the planes; `None` if they are green, blue and red, which a header alone never states.
     pub matrix: Option<Matrix>,
-    /// A pixel's width to its height (`A`), where that is stated and not square.
+    /// Ratio of a pixel's width to its height (`A`), if it is stated and not 1.
     pub aspect: Option<(u32, u32)>,
     /// True if frames are two fields (`It`, `Ib`) or may be (`Im`).
     pub interlaced: bool,
 }
 
 impl Header {
-    /// Returns true if every pixel has an alpha.
+    /// Returns true if pixels have alpha.
     pub fn has_alpha(&self) -> bool {
         self.chroma == Chroma::C444Alpha
     }
@@ -70,7 +70,7 @@ impl Header {
     ///
     /// # Errors
     /// Expected and found values, for every parameter that is missing, malformed or not supported, and for sizes
-    /// that are refused.
+    /// outside the limits.
     pub fn parse(line: &[u8]) -> Result<Header, String> {
         let line = std::str::from_utf8(line).map_err(|_| "the header line is not text".to_owned())?;
         let mut words = line.split(' ').filter(|w| !w.is_empty());
@@ -115,7 +115,7 @@ impl Header {
         Ok(Header { width, height, rate, chroma, bits, full_range, range_stated, matrix, aspect, interlaced })
     }
 
-    /// Columns and rows of a chroma plane.
+    /// Returns columns and rows of a chroma plane.
     pub fn chroma_size(&self) -> (usize, usize) {
         match self.chroma {
             Chroma::Mono => (0, 0),
@@ -126,27 +126,28 @@ impl Header {
         }
     }
 
-    /// Width and height of its pictures with square pixels, where its own are not: by enlarging one side.
+    /// Returns width and height of the pictures after one side is enlarged to make pixels square; `None` if they are
+    /// square already.
     pub fn square_size(&self) -> Option<(usize, usize)> {
         let (a, b) = self.aspect?;
         let longer = |side: usize, a: u32, b: u32| (side as f64 * f64::from(a) / f64::from(b)).round() as usize;
         Some(if a > b { (longer(self.width, a, b), self.height) } else { (self.width, longer(self.height, b, a)) })
     }
 
-    /// Bytes of one frame.
+    /// Returns the bytes of one frame.
     pub fn frame_bytes(&self) -> usize {
         let (cw, ch) = self.chroma_size();
         let alpha = if self.chroma == Chroma::C444Alpha { self.width * self.height } else { 0 };
         (self.width * self.height + 2 * cw * ch + alpha) * self.sample_bytes()
     }
 
-    /// Bytes of one sample.
+    /// Returns the bytes of one sample.
     pub fn sample_bytes(&self) -> usize {
         if self.bits > 8 { 2 } else { 1 }
     }
 }
 
-/// The line on pixels of this aspect.
+/// Returns the note on pixels of this aspect.
 pub(in crate::source) fn made_square((width, height): (u32, u32)) -> String {
     format!("pixels of {width}:{height} were made square")
 }
@@ -192,7 +193,7 @@ fn colour(value: &str) -> Result<(Chroma, u32), String> {
         _ => {
             let (chroma, bits) = value.split_once('p').ok_or_else(unsupported)?;
             let chroma = match chroma {
-                // Video of more than eight bits is sited as in MPEG-2.
+                // The chroma of video with more than eight bits is sited as in MPEG-2.
                 "420" => Chroma::C420(Siting::Left),
                 "422" => Chroma::C422,
                 "444" => Chroma::C444,

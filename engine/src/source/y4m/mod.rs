@@ -1,12 +1,13 @@
-//! y4m (YUV4MPEG2): uncompressed video as a stream, read one frame at a time from anything that can be read.
+//! y4m (YUV4MPEG2): uncompressed video as a stream, read one frame at a time from any reader.
 //!
 //! ```text
 //! YUV4MPEG2 W640 H360 F30:1 Ip A1:1 C420jpeg XCOLORRANGE=LIMITED\n
 //! FRAME\n <planes Y, Cb, Cr>  FRAME\n <planes> …
 //! ```
 //!
-//! Read are 4:2:0 (all three sitings), 4:2:2, 4:1:1, 4:4:4 (with alpha too) and mono, 8 to 16 bits, both ranges; see
-//! [`convert`] for the arithmetic. Sizes are checked before memory is taken. A stream may end after any whole frame.
+//! Supported are 4:2:0 (all three sitings), 4:2:2, 4:1:1, 4:4:4 (with alpha too) and mono, 8 to 16 bits, both ranges;
+//! see [`convert`] for the arithmetic. Sizes are checked before memory is allocated. A stream may end after any whole
+//! frame.
 
 pub mod convert;
 pub mod header;
@@ -49,19 +50,19 @@ impl<R: BufRead> Y4m<R> {
         &self.header
     }
 
-    /// Takes this matrix, or planes of green, blue and red of full range.
+    /// Sets the matrix; `None` for full-range planes of green, blue and red.
     pub(super) fn set_matrix(&mut self, matrix: Option<Matrix>) {
         self.header.matrix = matrix;
         self.header.full_range |= matrix.is_none();
     }
 
-    /// Takes this pixel aspect.
+    /// Sets the pixel aspect.
     pub(super) fn set_aspect(&mut self, aspect: Option<(u32, u32)>) {
         self.header.aspect = aspect;
     }
 
-    /// What a stream's header alone decides, with `matrix` in place of that of its size if there is one: a line on
-    /// everything that is done or taken as such.
+    /// Applies the settings that depend on the header alone. `matrix`, if given, replaces the one chosen by size.
+    /// Returns a note for each property that is converted or assumed.
     pub(super) fn take_in(&mut self, matrix: Option<Matrix>) -> Vec<String> {
         if matrix.is_some() {
             self.set_matrix(matrix);
@@ -80,12 +81,12 @@ impl<R: BufRead> Y4m<R> {
         notes
     }
 
-    /// Length of the header with its newline, in bytes.
+    /// Returns the length of the header with its newline, in bytes.
     pub fn header_bytes(&self) -> u64 {
         self.header_bytes
     }
 
-    /// The next frame; `None` at the end of the stream.
+    /// Returns the next frame; `None` at the end of the stream.
     ///
     /// # Errors
     /// An unreadable stream, a malformed frame header, a frame that ends early.
@@ -96,7 +97,7 @@ impl<R: BufRead> Y4m<R> {
         Ok(Some(convert::to_picture(&self.bytes, &self.header)))
     }
 
-    /// The planes of the next frame as they are stored; `None` at the end of the stream.
+    /// Returns the planes of the next frame as they are stored; `None` at the end of the stream.
     ///
     /// # Errors
     /// As [`Y4m::next_picture`].
@@ -126,7 +127,7 @@ fn y4m_error(path: &Path, cause: impl Into<String>) -> SourceError {
     SourceError::Y4m { path: path.to_owned(), cause: cause.into() }
 }
 
-/// A line without its newline; `None` at the end of the stream.
+/// Reads a line without its newline; `None` at the end of the stream.
 fn read_line(input: &mut impl BufRead, path: &Path, what: &str) -> Result<Option<Vec<u8>>, SourceError> {
     let mut line = Vec::new();
     match input.take(header::MAX_LINE as u64).read_until(b'\n', &mut line) {

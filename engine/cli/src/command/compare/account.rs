@@ -1,4 +1,4 @@
-//! What was found of all pictures compared so far.
+//! Results of all pictures compared so far.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::console;
 
 /// Maximum number of lines printed about pictures that differ.
 const LINES: usize = 20;
-/// Containers that count time in milliseconds round it so far.
+/// Maximum rounding of times in containers that count milliseconds.
 const ROUNDED: f64 = 1e-3;
 
 /// Sums over the pictures that were compared.
@@ -22,9 +22,9 @@ struct Mean {
     psnr: f64,
     ssim: f64,
     share: f64,
-    /// Pictures for which SSIM is defined.
+    /// Number of pictures for which SSIM is defined.
     with_ssim: usize,
-    /// Least PSNR, and the name of its picture.
+    /// Lowest PSNR, and the name of its picture.
     least: Option<(f64, String)>,
 }
 
@@ -41,7 +41,7 @@ pub struct Account {
 }
 
 impl Account {
-    /// An empty one.
+    /// Returns an empty account.
     pub fn new(tolerance: Tolerance) -> Self {
         let (pictures, lines, notes) = (Vec::new(), Vec::new(), Vec::new());
         Self { tolerance, pictures, lines, notes, failed: 0, differing: 0, mean: Mean::default(), worst: None }
@@ -53,19 +53,19 @@ impl Account {
         }
     }
 
-    /// Adds a note on the method of comparison, without repeating one.
+    /// Adds a note on the method of comparison, unless it exists already.
     pub fn note(&mut self, note: String) {
         if !self.notes.contains(&note) {
             self.notes.push(note);
         }
     }
 
-    /// Something that is equal and no picture.
+    /// Adds an equal item that is not a picture.
     pub fn equal(&mut self, name: &str) {
         self.pictures.push(json!({ "name": name, "equal": true, "passed": true }));
     }
 
-    /// Something that differs and cannot be measured.
+    /// Adds an item that differs and cannot be measured.
     pub fn odd(&mut self, name: &str, cause: &str) {
         self.failed += 1;
         self.differing += 1;
@@ -73,7 +73,7 @@ impl Account {
         self.pictures.push(json!({ "name": name, "equal": false, "passed": false, "cause": cause }));
     }
 
-    /// Two scenes inside of folders.
+    /// Adds the outcome of two scenes inside folders.
     pub fn scenes(&mut self, name: &str, outcome: Outcome) {
         if outcome.passed {
             self.note(format!("{name}: {}", outcome.summary));
@@ -83,7 +83,7 @@ impl Account {
         outcome.lines.into_iter().for_each(|line| self.line(format!("{name}: {line}")));
     }
 
-    /// Two pictures.
+    /// Compares two pictures and adds the result.
     pub fn add(&mut self, name: &str, a: Part, b: Part) {
         if let Some(cause) = self.times(&a, &b) {
             return self.odd(name, &cause);
@@ -140,7 +140,7 @@ impl Account {
         }
     }
 
-    /// How the times of two frames differ, where both have one.
+    /// Describes how the times of two frames differ, if both have one.
     fn times(&self, a: &Part, b: &Part) -> Option<String> {
         let ((start, length), (other, other_length)) = a.shown.zip(b.shown)?;
         let rounded = if self.tolerance.is_given() { ROUNDED } else { 0.0 };
@@ -152,7 +152,7 @@ impl Account {
         apart(length, other).then(|| format!("expected two frames shown as long, found {length} s and {other} s"))
     }
 
-    /// The outcome; `what` is the plural of what was compared.
+    /// Returns the outcome; `what` is the plural of the compared items.
     pub fn finish(mut self, what: &str) -> Outcome {
         let Self { failed, differing, .. } = self;
         let count = self.pictures.len();
@@ -195,7 +195,8 @@ impl Mean {
         }
     }
 
-    /// PSNR of the mean square error, mean PSNR, mean SSIM (where it is defined for all), mean share.
+    /// Returns the PSNR of the mean square error, the mean PSNR, the mean SSIM (if it is defined for all), and the mean
+    /// fraction of pixels that differ.
     fn figures(&self) -> Option<(f64, f64, Option<f64>, f64)> {
         let count = (self.count > 1).then_some(self.count as f64)?;
         let ssim = (self.with_ssim == self.count).then(|| self.ssim / count);
@@ -230,7 +231,7 @@ fn decibels(psnr: f64) -> String {
     if psnr.is_finite() { format!("{psnr:.2} dB") } else { "none, for a sample is not finite".to_owned() }
 }
 
-/// A channel's name in words.
+/// Returns a channel's name for messages.
 fn word(channel: &str) -> &str {
     match channel {
         "R" => "red",
@@ -242,7 +243,7 @@ fn word(channel: &str) -> &str {
     }
 }
 
-/// The last part of a path.
+/// Returns the last part of a path.
 pub fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }

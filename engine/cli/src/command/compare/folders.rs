@@ -1,4 +1,4 @@
-//! Two folders: every file of both, paired by its name.
+//! Comparison of two folders: every file of both, paired by name.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use crate::command::compare::{Outcome, Tolerance, pictures, scenes};
 use crate::console::failure::Failure;
 use streamsplat::run::digest;
 
-/// Folders within folders that are looked into.
+/// Maximum depth of nested folders.
 const DEPTH: usize = 16;
 /// Files of a run that depend on its time and machine, and its resume state.
 const TELLING: [&str; 3] = ["run.json", "report.md", "resume"];
@@ -31,7 +31,7 @@ enum Entry {
 struct Content {
     entries: BTreeMap<String, (Entry, PathBuf)>,
     hidden: usize,
-    /// True if run or render wrote it.
+    /// True if `run` or `render` wrote the folder.
     rendering: bool,
 }
 
@@ -77,13 +77,13 @@ impl Content {
         Ok(())
     }
 
-    /// Returns true if there are files that are in no folder within this one.
+    /// Returns true if some files are directly in this folder.
     fn is_flat(&self) -> bool {
         self.entries.keys().any(|name| !name.contains('/'))
     }
 }
 
-/// All that two folders hold.
+/// Compares the contents of two folders.
 pub fn compare(
     a: &Path,
     b: &Path,
@@ -157,7 +157,7 @@ fn entry(
     Ok(())
 }
 
-/// Returns true for images, y4m, and files called like a video.
+/// Returns true for images, y4m, and files named like a video.
 fn is_picture(path: &Path) -> bool {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     let named = VIDEOS.contains(&ending.as_str()) || ["avi", "mpg", "mpeg", "ts", "wmv"].contains(&ending.as_str());

@@ -1,5 +1,5 @@
-//! `compare`: whether two images, folders of images, videos or scenes are the same, and else how far they are apart and
-//! where.
+//! `compare`: whether two images, folders of images, videos or scenes are equal, and otherwise where and by how much
+//! they differ.
 
 mod account;
 mod folders;
@@ -24,7 +24,7 @@ use crate::options::args::CompareArgs;
 enum Content {
     /// An image or a video.
     Pictures,
-    /// A folder of images or of other files, such as a rendering.
+    /// A folder of images or of other files, for example a rendering.
     Folder,
     /// A scene.
     Scene,
@@ -53,12 +53,12 @@ impl Content {
     }
 }
 
-/// How far pictures may be apart and still pass.
+/// Limits on the difference of pictures that still pass.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tolerance {
-    /// Greatest difference of a sample, in steps of 8 bits.
+    /// Maximum difference of a sample, in steps of 8 bits.
     most: Option<f64>,
-    /// Least PSNR in dB.
+    /// Minimum PSNR in dB.
     psnr: Option<f64>,
 }
 
@@ -80,19 +80,19 @@ impl Tolerance {
 struct Outcome {
     /// True if everything is equal or within the limits.
     passed: bool,
-    /// One line.
+    /// Summary in one line.
     summary: String,
-    /// Lines for a reader.
+    /// Lines for the terminal.
     lines: Vec<String>,
-    /// The mean over several pictures that differ, which comes last.
+    /// The mean over several pictures that differ, which is printed last.
     mean: Option<String>,
-    /// The same for a program.
+    /// The result as JSON.
     json: Value,
-    /// The two pictures that are farthest apart, where they have one size.
+    /// The two pictures that differ most, if they have the same size.
     worst: Option<(Part, Part)>,
 }
 
-/// Compares, says how far apart both are, and fails where that is too far.
+/// Compares, prints the differences, and fails if they exceed the limits.
 pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
     let CompareArgs { a, b, .. } = args;
     let limit = |option: &str, value: Option<f64>| match value {
@@ -133,7 +133,7 @@ pub fn command(args: &CompareArgs, console: &Console) -> Result<(), Failure> {
         write_file(path, &picture_png(&streamsplat::difference::heat(a, b)))?;
     }
     let Outcome { passed, summary, lines, mean, json, .. } = outcome;
-    // Names that are not UTF-8 have no exact text.
+    // Names that are not UTF-8 are shown lossily.
     let [a, b] = [a, b].map(|path| path.to_string_lossy());
     let mut found = json!({ "a": a, "b": b, "passed": passed, "summary": summary });
     if let (Value::Object(found), Value::Object(more)) = (&mut found, json) {

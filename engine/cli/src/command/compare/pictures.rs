@@ -1,4 +1,4 @@
-//! Two images or two videos: part by part.
+//! Comparison of two images or two videos, part by part.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::command::compare::account::{Account, file_name};
 use crate::command::compare::{Outcome, Tolerance};
 use crate::console::failure::Failure;
 
-/// Two images or two videos.
+/// Compares two images or two videos.
 pub fn files(a: &Path, b: &Path, tolerance: Tolerance) -> Result<Outcome, Failure> {
     let mut account = Account::new(tolerance);
     let kinds = [samples::kind(a)?, samples::kind(b)?];
@@ -17,7 +17,8 @@ pub fn files(a: &Path, b: &Path, tolerance: Tolerance) -> Result<Outcome, Failur
     Ok(account.finish(what))
 }
 
-/// Compares every part of two files; `name` is what they are called, empty where they are all there is.
+/// Compares every part of two files. `name` is the prefix of the parts' names; it is empty if only these files are
+/// compared.
 pub fn parts(paths: [&Path; 2], name: &str, account: &mut Account) -> Result<(), Failure> {
     let [mut a, mut b]: [Parts; 2] = samples::open_both(paths)?;
     for index in 0.. {

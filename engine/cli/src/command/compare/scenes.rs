@@ -1,4 +1,4 @@
-//! Scenes, number by number.
+//! Comparison of scenes, number by number.
 
 use std::path::Path;
 
@@ -25,18 +25,18 @@ enum Values<'a> {
     Whole(Vec<u64>),
 }
 
-/// How far two columns are apart.
+/// Difference of two columns.
 #[derive(Debug, PartialEq)]
 struct Apart {
-    /// Gaussians that differ.
+    /// Number of Gaussians that differ.
     count: usize,
-    /// Greatest difference; NaN counts as infinitely far from a number.
+    /// Largest difference; a NaN counts as infinitely far from a number.
     largest: f64,
-    /// The first Gaussian that has it.
+    /// The first Gaussian with it.
     place: usize,
 }
 
-/// Compares bits; `None` where all are equal.
+/// Compares bits; `None` if all are equal.
 fn apart(a: &Values<'_>, b: &Values<'_>, width: usize) -> Option<Apart> {
     let pairs: Vec<(usize, f64)> = match (a, b) {
         (Values::Floats(a), Values::Floats(b)) => {
@@ -100,7 +100,7 @@ fn of_interval(interval: &Interval) -> Vec<Column<'_>> {
     ]
 }
 
-/// Lines and JSON of the columns that differ; `part` says which interval.
+/// Returns lines and JSON of the columns that differ; `part` names the interval.
 fn columns(part: &str, a: &[Column<'_>], b: &[Column<'_>], lines: &mut Vec<String>, found: &mut Vec<Value>) {
     for (a, b) in a.iter().zip(b) {
         let Some(Apart { count, largest, place }) = apart(&a.values, &b.values, a.width) else { continue };
@@ -184,7 +184,7 @@ fn moving(a: &Scene, b: &Scene) -> Result<Outcome, Failure> {
             found.push(json!({ "part": format!("interval {i}"), "property": "count" }));
             continue;
         }
-        // Every interval is read, whether or not the indices agree. One that does not match its index is an error.
+        // Every interval is read, even if the indices agree. An interval that does not match its index is an error.
         let (one, other) = (a.interval(i)?, b.interval(i)?);
         for (what, differ) in [
             ("merges", one.merges != other.merges),
@@ -221,7 +221,7 @@ mod tests {
         b[0] = f32::NAN;
         let found = apart(&Values::Floats(&a), &Values::Floats(&b), 3).expect("a difference");
         assert_eq!((found.count, found.largest, found.place), (2, f64::INFINITY, 0));
-        // Zeros of either sign are different bits and equal numbers.
+        // Zeros of either sign have different bits but are equal numbers.
         let found = apart(&Values::Floats(&[0.0]), &Values::Floats(&[-0.0]), 1).expect("a difference");
         assert_eq!((found.count, found.largest), (1, 0.0));
     }

@@ -13,7 +13,7 @@ pub(super) struct Placed {
     pub(super) placement: Placement,
 }
 
-/// The key frames of an interval, to be blended along the flow between them.
+/// The key frames of an interval, for blending along the flow between them.
 pub(super) struct FlowBlend<'a> {
     pub(super) workers: &'a Workers,
     pub(super) frames: [&'a Placed; 2],
@@ -40,7 +40,7 @@ impl<'a> FlowBlend<'a> {
         })
     }
 
-    /// The picture at `t` in [0, 1].
+    /// Returns the picture at `t` in [0, 1].
     pub(super) fn at(&self, t: f32) -> Picture {
         let ([a, b], [there, back]) = (self.frames, &self.fields);
         let blend = || flow::Blend::new(self.workers.level(), [&a.rgb, &b.rgb], [there, back]).at(t);

@@ -1,4 +1,4 @@
-//! Measurements: sums over frames, their means, and how they are written.
+//! Measurements: sums over frames, their means, and their output.
 
 use std::collections::BTreeMap;
 
@@ -11,13 +11,13 @@ use streamsplat::stream::Fusion;
 
 use crate::console::failure::Failure;
 
-/// Means over frames, and how many there were.
+/// Means over frames, and the number of frames.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub(super) struct Score {
-    /// At the source's own size, of 8-bit samples, in dB; of the scene's images alone.
+    /// At the source's own size, of 8-bit samples, in dB; only for the scene's images.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) psnr_source_size: Option<f64>,
-    /// At 256×256, as `ssim` and `lpips`.
+    /// At 256×256, like `ssim` and `lpips`.
     pub(super) psnr: Option<f64>,
     pub(super) ssim: Option<f64>,
     /// With `--lpips-model`.
@@ -75,10 +75,10 @@ impl Sum {
     }
 }
 
-/// How far images lie apart, as mean absolute differences of colour.
+/// Mean absolute colour differences between images.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Pops {
-    /// At key frames, seen from the interval before and from the one after.
+    /// At key frames, between the images from the interval before and from the one after.
     pub(super) jump: f64,
     pub(super) jumps: usize,
     /// From one frame to the next inside an interval.
@@ -105,9 +105,9 @@ impl Pops {
 /// Change of the image at a key frame, compared with the change from frame to frame.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(super) struct Pop {
-    /// Mean absolute difference of the images at a key frame seen from the intervals before and after.
+    /// Mean absolute difference between a key frame's images from the intervals before and after.
     pub(super) jump: Option<f64>,
-    /// That of neighbouring frames inside an interval.
+    /// Mean absolute difference between neighbouring frames inside an interval.
     pub(super) step: Option<f64>,
     /// jump / step; 0 where nothing pops.
     pub(super) ratio: Option<f64>,
@@ -122,7 +122,7 @@ pub(super) struct Sums {
     pub(super) nearest: Sum,
     pub(super) flow: Sum,
     pub(super) intervals: Vec<IntervalFigures>,
-    /// In the engine.
+    /// Time in the engine.
     pub(super) seconds: f64,
     pub(super) clips: usize,
 }
@@ -130,15 +130,15 @@ pub(super) struct Sums {
 /// Measured PSNR of an interval's images, and the PSNR at which its frames are predicted from its key frames.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct IntervalFigures {
-    /// After its first key frame.
+    /// Number of frames after its first key frame.
     pub(super) frames: usize,
     /// PSNR of its last frame, the key frame, in dB.
     pub(super) key: f64,
     /// Mean PSNR of the frames in between, in dB.
     pub(super) between: Option<f64>,
-    /// Mean ratio, in dB, at which the frames in between follow from the key frames ([`streamsplat::gap::predicted`]).
+    /// Mean PSNR, in dB, of predicting the frames in between from the key frames ([`streamsplat::gap::predicted`]).
     pub(super) predicted: Option<f64>,
-    /// The least of these.
+    /// The lowest of these.
     pub(super) worst: Option<f64>,
 }
 
@@ -158,16 +158,16 @@ pub(super) struct Baselines {
     pub(super) flow: Score,
 }
 
-/// Input frames from key frame to key frame.
+/// Input frames from one key frame to the next.
 #[derive(Clone, Copy, Serialize)]
 #[serde(untagged)]
 pub(super) enum Spacing {
     Every(usize),
-    /// On average, where they were chosen.
+    /// Mean gap, if gaps were chosen.
     Mean(f64),
 }
 
-/// One clip's figures, or the mean's.
+/// The figures of one clip, or of the mean.
 #[derive(Serialize)]
 pub(super) struct ClipFigures {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -175,15 +175,15 @@ pub(super) struct ClipFigures {
     pub(super) gap: Spacing,
     pub(super) key: Score,
     pub(super) middle: Score,
-    /// Time in the engine per input frame, drawing and comparison apart.
+    /// Time in the engine per input frame, without drawing and comparison.
     pub(super) seconds_per_frame: f64,
     pub(super) baselines: Baselines,
-    /// Interval by interval; of clips alone.
+    /// Figures of each interval; only for clips.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub(super) intervals: Vec<IntervalFigures>,
-    /// The same under the fusion mode's name, with how the image jumps at key frames.
+    /// The same scores under the fusion mode's name, with the change of the image at key frames.
     pub(super) fusion: BTreeMap<&'static str, Mode>,
-    /// Means over the clips whose cross-fade is under [`MOVING`] dB; of the mean alone.
+    /// Means over the clips whose cross-fade is under [`MOVING`] dB; only in the mean.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) moving: Option<Group>,
     /// Means over the other clips.
@@ -191,14 +191,14 @@ pub(super) struct ClipFigures {
     pub(super) still: Option<Group>,
 }
 
-/// Means over some clips, each of which counts once.
+/// Means over some clips, each with the same weight.
 #[derive(Debug, Serialize)]
 pub(super) struct Group {
     pub(super) clips: usize,
     pub(super) middle: GroupScore,
     /// Decibels by which middle frames are better than the cross-fade.
     pub(super) over_crossfade: Option<f64>,
-    /// The least of them.
+    /// The lowest of these.
     pub(super) worst_over_crossfade: Option<f64>,
 }
 
@@ -207,12 +207,12 @@ pub(super) struct GroupScore {
     pub(super) psnr: Option<f64>,
 }
 
-/// PSNR of the cross-fade, in dB, from which on a clip belongs to the group `still`: its neighbouring frames are alike.
-/// A camera held by hand may be among them.
+/// PSNR of the cross-fade, in dB, from which a clip belongs to the group `still`: its neighbouring frames are alike.
+/// Clips from hand-held cameras may be in this group.
 pub(super) const MOVING: f64 = 26.0;
 
 impl Group {
-    /// The moving or the still ones of `clips`.
+    /// Computes the group of the moving or of the still `clips`.
     pub(super) fn of(clips: &[ClipFigures], moving: bool) -> Group {
         let figures = clips.iter().filter_map(|row| row.middle.psnr.zip(row.baselines.crossfade.psnr));
         let figures: Vec<_> = figures.filter(|(_, fade)| (*fade < MOVING) == moving).collect();
@@ -228,7 +228,7 @@ impl Group {
 }
 
 impl Sums {
-    /// The gap, or the mean of those that were chosen.
+    /// Returns the gap, or the mean of the chosen gaps.
     pub(super) fn spacing(&self, gap: Gap) -> Spacing {
         match gap {
             Gap::Every(n) => Spacing::Every(n),

@@ -1,12 +1,15 @@
-//! `eval`: key frames in, the frames between held out; how close the scene comes to them, and simple baselines beside
-//! it.
+//! `eval`: processes key frames, holds out the frames in between, and measures the PSNR of the scene and of simple
+//! baselines.
 //!
-//! Every `gap`-th frame is a key frame, or what `--gap auto` chooses. The scene is drawn at every frame's time and
-//! compared with the true frame twice: at the source's own size, sample by sample in 8 bits, as in `run`; and by the
-//! protocol of the paper, drawn at `--size` and both resized to 256×256 bilinearly. *Key* frames are inputs. *Middle*
-//! frames are inputs only with `--seen`. Baselines for the middle frames: the cross-fade of the key frames around, the
-//! nearer one, and the key frames blended along the optical flow between them. Frames after the last whole interval are
-//! left out. Said beside it is how the image jumps at key frames, and how far it goes from frame to frame.
+//! Every `gap`-th frame is a key frame, or those that `--gap auto` chooses. The scene is drawn at every frame's time
+//! and compared with the true frame twice. The first comparison is at the source's own size, sample by sample in 8
+//! bits, as in `run`. The second follows the protocol of the paper: drawn at `--size`, and both resized to 256×256
+//! bilinearly.
+//!
+//! *Key* frames are inputs. *Middle* frames are inputs only with `--seen`. There are three baselines for the middle
+//! frames: the cross-fade of the surrounding key frames, the nearer one, and the key frames blended along the optical
+//! flow between them. Frames after the last whole interval are left out. The output also has the image's jump at key
+//! frames, and its change from frame to frame.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -50,9 +53,9 @@ struct Figures {
     fit: String,
     precision: String,
     renderer: &'static str,
-    /// True if the middle frames were given to the engine, too.
+    /// True if the middle frames were inputs of the engine, too.
     seen: bool,
-    /// The quality asked for; what else is said here may differ from what it stands for.
+    /// Requested quality; the other fields override its preset.
     #[serde(skip_serializing_if = "Option::is_none")]
     quality: Option<String>,
     motion: &'static str,
@@ -157,7 +160,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The clip itself, or the clips of a folder of folders, in natural order.
+/// Returns the clip itself, or the clips of a folder of folders, in natural order.
 fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
     if !input.is_dir() || folder::images(input).is_ok() {
         return Ok(vec![input.to_owned()]);
@@ -181,11 +184,11 @@ fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
     Ok(clips)
 }
 
-/// The source's own camera, at both sizes.
+/// Views of the source's own camera, at both sizes.
 struct Sizes {
-    /// At which images are drawn that are compared at 256×256.
+    /// For the images that are compared at 256×256.
     compared: Views,
-    /// The source's.
+    /// At the source's size.
     own: Views,
 }
 
@@ -215,7 +218,7 @@ fn evaluate(
     let mut progress = Progress::new("frames", keys.total(), &console);
     let mut before: Option<(Picture, Placed)> = None;
     let mut last_small: Option<Small> = None;
-    // The first key frame where depth is found: as with run, the interval after it shows it.
+    // The first key frame, if depth is estimated: the interval after it shows it, as in `run`.
     let mut first: Option<(Picture, Picture)> = None;
     while let Some(key) = keys.next_key()? {
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
@@ -299,13 +302,13 @@ fn evaluate(
     Ok(sums)
 }
 
-/// An image at the size at which it is compared.
+/// Returns an image at the size of the comparison.
 fn compared(image: &Image) -> Picture {
     Picture { width: image.width, height: image.height, rgb: image.rgb.clone() }.resized(SIDE, SIDE)
 }
 
-/// PSNR at the source's own size, in dB. `drawn` is the image of this time at the other size, used if it has the
-/// frame's size.
+/// Returns the PSNR at the source's own size, in dB. `drawn` is the image of this time at the other size; it is used if
+/// it has the frame's size.
 fn own_size(
     drawing: &mut Drawing,
     interval: &Interval,
@@ -325,7 +328,7 @@ fn own_size(
     Ok(psnr_of_samples(&image.to_rgb8(), &frame.to_rgb8()))
 }
 
-/// The mean absolute difference.
+/// Returns the mean absolute difference.
 fn apart(a: &[f32], b: &[f32]) -> f64 {
     let sum: f64 = a.iter().zip(b).map(|(a, b)| f64::from((a - b).abs())).sum();
     sum / a.len().max(1) as f64

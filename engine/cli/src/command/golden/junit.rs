@@ -1,28 +1,28 @@
-//! Results as JUnit XML, which continuous integration shows.
+//! Results as JUnit XML, for continuous integration.
 
 use std::io;
 
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesText, Event};
 
-/// One case.
+/// One test case.
 pub struct Case {
     /// The render.
     pub render: String,
-    /// The image: its time, or what could not be done.
+    /// The time of the image, or the step that failed.
     pub image: String,
-    /// Why it fails.
+    /// The reason of its failure.
     pub failure: Option<String>,
     /// Seconds.
     pub seconds: f64,
 }
 
-/// Characters that XML can hold.
+/// Replaces characters that XML cannot hold.
 fn clean(text: &str) -> String {
     text.chars().map(|c| if c.is_control() && !"\t\n\r".contains(c) { '\u{fffd}' } else { c }).collect()
 }
 
-/// One suite of `cases`, in their order.
+/// Writes one suite of `cases`, in order.
 pub fn xml(suite: &str, cases: &[Case]) -> io::Result<Vec<u8>> {
     let mut writer = Writer::new_with_indent(Vec::new(), b' ', 2);
     writer.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;

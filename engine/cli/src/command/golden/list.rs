@@ -1,4 +1,4 @@
-//! The list of renders: FILE.toml.
+//! The list of renders, FILE.toml.
 
 use std::collections::BTreeSet;
 use std::fmt::Display;
@@ -14,7 +14,7 @@ use crate::console::failure::Failure;
 use crate::options::args::RenderOptions;
 use crate::options::optics::Optics;
 
-/// Longest list that is read, in bytes.
+/// Maximum size of a list, in bytes.
 const MAX_LIST: u64 = 1 << 24;
 
 /// The whole file.
@@ -25,7 +25,7 @@ struct List {
     render: Vec<Entry>,
 }
 
-/// One render, with the words of the command line.
+/// One render, with the option names of the command line.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Entry {
@@ -55,7 +55,7 @@ struct Entry {
     shutter_samples: Option<u32>,
 }
 
-/// Text, a number, or numbers in a row.
+/// Text, a number, or an array of numbers.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Word {
@@ -76,13 +76,13 @@ impl Word {
     }
 }
 
-/// A render to be drawn.
+/// A render.
 pub struct Render {
-    /// Its name, which files can have.
+    /// Its name, which is also used in file names.
     pub name: String,
     /// The scene.
     pub scene: PathBuf,
-    /// Everything that reaches the image.
+    /// All options that affect the image.
     pub options: RenderOptions,
 }
 
@@ -147,7 +147,7 @@ impl Entry {
     }
 }
 
-/// The value of a key, where it is given.
+/// Parses the value of a key, if it is present.
 fn value<T: FromStr<Err: Display>>(key: &str, text: Option<String>) -> Result<Option<T>, String> {
     text.map(|text| text.parse().map_err(|e| format!("{key}: {e}"))).transpose()
 }

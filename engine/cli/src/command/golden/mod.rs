@@ -1,4 +1,4 @@
-//! `golden`: a list of renders whose images are recorded once and compared with zero tolerance from then on.
+//! `golden`: records the images of a list of renders once, and later compares them with zero tolerance.
 
 mod junit;
 mod list;
@@ -40,7 +40,7 @@ pub fn command(args: &GoldenArgs, console: &Console) -> Result<(), Failure> {
     }
 }
 
-/// Draws one render; gives the digest of its scene.
+/// Draws one render; returns the digest of its scene.
 fn draw(
     render: &Render,
     limits: &Limits,
@@ -70,7 +70,7 @@ fn draw(
     crop(&scene, &due, &mut views, fps, workers)?;
     let mut stretch = Stretch::of(&scene);
     for (index, due) in due.into_iter().enumerate() {
-        // Images of one instant are told apart by when they are shown.
+        // Images of one scene time are distinguished by the time at which they are shown.
         let shown = if let Some(Course::Held(_)) = views.course { index as f64 / fps } else { due.0 };
         sink(shown, stretch.image(&mut drawing, index, due, &views, fps)?)?;
     }
@@ -109,7 +109,7 @@ fn record(args: &GoldenRecordArgs, console: &Console) -> Result<(), Failure> {
     let images = |golden: &Golden| golden.renders.values().flat_map(|render| render.images.clone()).collect::<Vec<_>>();
     let names: BTreeSet<String> = images(&golden).into_iter().map(|image| image.preview).collect();
     for old in earlier.iter().flat_map(images).filter(|old| !names.contains(&old.preview)) {
-        // As everywhere, only what was written is removed; what is gone already is what is wanted.
+        // Only files that a recording wrote are removed. A file that is already gone needs no removal.
         let path = folder.join(&old.preview);
         let ours = match &old.preview_file {
             Some(file) => is_as_written(&folder, &old.preview, file.bytes, &file.blake3)?,
@@ -128,7 +128,7 @@ fn record(args: &GoldenRecordArgs, console: &Console) -> Result<(), Failure> {
     Ok(())
 }
 
-/// How a render's images differ from an earlier recording's.
+/// Describes how a render's images differ from an earlier recording's.
 fn against(before: Option<&GoldenRender>, scene: &str, images: &[GoldenImage]) -> String {
     let Some(before) = before else { return "new".to_owned() };
     let same = |(old, new): (&GoldenImage, &GoldenImage)| {
@@ -150,10 +150,10 @@ fn named(name: &str, failure: Failure) -> Failure {
     }
 }
 
-/// How one image came out.
+/// The result of one image.
 struct Check {
     render: String,
-    /// `None` where nothing was drawn.
+    /// `None` if nothing was drawn.
     time: Option<f64>,
     failure: Option<String>,
     found: Value,
@@ -170,7 +170,7 @@ impl Check {
     }
 }
 
-/// Writes images that differ beside what was expected.
+/// Writer of images that differ, next to the expected ones.
 struct Failures {
     folder: PathBuf,
     /// True if the user named the folder, which may then be a link.
@@ -180,8 +180,8 @@ struct Failures {
 }
 
 impl Failures {
-    /// Writes `NAME.actual.png`, and where a preview was recorded `NAME.expected.png` and `NAME.heat.png`; says how far
-    /// both are apart.
+    /// Writes `NAME.actual.png` and, if a preview was recorded, `NAME.expected.png` and `NAME.heat.png`. Returns their
+    /// difference as text and JSON.
     fn write(
         &mut self,
         name: &str,
@@ -223,7 +223,7 @@ impl Failures {
     }
 }
 
-/// Compares one render with what was recorded of it.
+/// Compares one render with its record.
 fn compare(
     render: &Render,
     expected: &GoldenRender,
@@ -336,7 +336,7 @@ fn check(args: &GoldenCheckArgs, console: &Console) -> Result<(), Failure> {
     Err(Failure::work(format!("{}: {failed} of {of} failed{beside}{contract}", args.file.display())))
 }
 
-/// The table, or JSON.
+/// Prints the table, or JSON.
 fn show(
     args: &GoldenCheckArgs,
     console: &Console,

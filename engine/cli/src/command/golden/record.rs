@@ -1,4 +1,4 @@
-//! Record of golden images: FILE.golden/record.json and previews beside it.
+//! Record of golden images: FILE.golden/record.json and the previews next to it.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ pub struct Golden {
     pub version: String,
     /// The version of the bit contract ([`streamsplat::BIT_CONTRACT`]).
     pub bit_contract: u32,
-    /// Every render, by its name.
+    /// Every render, by name.
     pub renders: BTreeMap<String, GoldenRender>,
 }
 
@@ -34,7 +34,7 @@ pub struct Golden {
 pub struct GoldenRender {
     /// BLAKE3 of the scene's file, or of its index.
     pub scene: String,
-    /// Its images, in their order.
+    /// Its images, in order.
     pub images: Vec<GoldenImage>,
 }
 
@@ -54,7 +54,7 @@ pub struct GoldenImage {
     pub preview_file: Option<PreviewFile>,
 }
 
-/// A preview as it was written.
+/// A written preview file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PreviewFile {
     /// Its length.
@@ -63,15 +63,15 @@ pub struct PreviewFile {
     pub blake3: String,
 }
 
-/// BLAKE3 of an image before anything is rounded to 8 bits: width and height (64 bits each), then red, green and blue
-/// planes (and alpha, where it is drawn) as binary32; everything in little-endian order.
+/// Computes the BLAKE3 digest of an image before anything is rounded to 8 bits. Its input is width and height (64 bits
+/// each), then red, green and blue planes (and alpha, if it is drawn) as binary32; everything in little-endian order.
 pub fn digest(image: &Image) -> String {
     let mut hasher = blake3::Hasher::new();
     for side in [image.width, image.height] {
         hasher.update(&(side as u64).to_le_bytes());
     }
     for samples in [Some(&image.rgb), image.alpha.as_ref()].into_iter().flatten() {
-        // In blocks, so that no copy of the whole image is made.
+        // In blocks, so that the whole image is not copied.
         for block in samples.chunks(1 << 14) {
             let bytes: Vec<u8> = block.iter().flat_map(|v| v.to_le_bytes()).collect();
             hasher.update(&bytes);
@@ -80,7 +80,7 @@ pub fn digest(image: &Image) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
-/// The image at most 256 pixels wide and high, in 8 bits.
+/// Returns the image in 8 bits, at most 256 pixels wide and high.
 pub fn preview(picture: &Picture) -> Picture {
     let longest = picture.width.max(picture.height).max(1);
     let side = |side: usize| if longest <= PREVIEW { side } else { (side * PREVIEW / longest).max(1) };
@@ -88,18 +88,18 @@ pub fn preview(picture: &Picture) -> Picture {
     Picture::from_rgb8(small.width, small.height, &small.to_rgb8()).unwrap_or(small)
 }
 
-/// The folder of a list's record.
+/// Returns the folder of a list's record.
 pub fn folder(list: &Path) -> PathBuf {
     list.with_extension("golden")
 }
 
-/// The record's file in it.
+/// Returns the record's file in it.
 pub fn path(list: &Path) -> PathBuf {
     folder(list).join("record.json")
 }
 
 impl Golden {
-    /// An empty one of this program.
+    /// Returns an empty record of this program.
     pub fn new() -> Golden {
         Golden {
             program: PROGRAM.to_owned(),
@@ -133,7 +133,7 @@ impl Golden {
         }
     }
 
-    /// As text.
+    /// Formats the record as JSON.
     pub fn to_json(&self) -> Result<String, Failure> {
         serde_json::to_string_pretty(self).map(|text| text + "\n").map_err(Failure::work)
     }

@@ -1,4 +1,4 @@
-//! The binary form of a model: little-endian numbers, each list behind its length.
+//! The binary form of a model: little-endian numbers; each list follows its length.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +6,7 @@ use super::rigs::{Frame, Rig, Rigs};
 use super::{Extrinsics, Intrinsics, Rigid};
 use crate::import::FormatError;
 
-/// Names and numbers of parameters of the camera models, by their number.
+/// Names and numbers of parameters of the camera models, by model number.
 const MODELS: [(&str, usize); 18] = [
     ("SIMPLE_PINHOLE", 3),
     ("PINHOLE", 4),
@@ -28,10 +28,10 @@ const MODELS: [(&str, usize); 18] = [
     ("EQUIRECTANGULAR", 2),
 ];
 
-/// The number of the sensors that are cameras.
+/// Sensor type of cameras.
 const CAMERA: u32 = 0;
 
-/// The bytes of a file that are not read yet.
+/// The unread bytes of a file.
 struct Bytes<'a> {
     part: &'static str,
     rest: &'a [u8],
@@ -74,14 +74,14 @@ impl<'a> Bytes<'a> {
         Ok(Rigid::new(numbers))
     }
 
-    /// The number of a camera; `None` for another sensor.
+    /// Reads a sensor; returns the number of a camera, `None` for another sensor.
     fn sensor(&mut self) -> Result<Option<u32>, FormatError> {
         let (kind, id) = (self.u32()?, self.u32()?);
         Ok((kind == CAMERA).then_some(id))
     }
 }
 
-// Counts are not believed: every entry takes bytes that must be there.
+// Counts are not trusted: each entry needs bytes that must be present.
 
 pub(super) fn cameras(bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, FormatError> {
     let mut bytes = Bytes { part: "cameras.bin", rest: bytes };
@@ -90,7 +90,7 @@ pub(super) fn cameras(bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, FormatE
         let (id, model) = (bytes.u32()?, bytes.u32()?);
         let known = usize::try_from(model).ok().and_then(|model| MODELS.get(model));
         let Some(&(model, count)) = known else {
-            // Its length is unknown, and so is the start of the next one.
+            // The length of an unknown model is unknown, and so is the start of the next one.
             let expected = format!("camera models 0 to {}", MODELS.len() - 1);
             return Err(FormatError::new("cameras.bin", expected, model.to_string()));
         };
@@ -110,7 +110,7 @@ pub(super) fn images(bytes: &[u8]) -> Result<Vec<Extrinsics>, FormatError> {
         let name = String::from_utf8_lossy(bytes.take(length)?).into_owned();
         bytes.take(1)?;
         let points = bytes.u64()?;
-        // Two coordinates and a number each.
+        // Each point has two coordinates and a number.
         let skipped =
             usize::try_from(points).ok().and_then(|points| points.checked_mul(24)).ok_or_else(|| bytes.end())?;
         bytes.take(skipped)?;

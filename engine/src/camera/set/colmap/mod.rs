@@ -1,18 +1,18 @@
 //! The cameras and images of a COLMAP model, as text or binary.
 //!
-//! An image has the rotation (quaternion w, x, y, z) and the translation that take the world into the camera (x right,
-//! y down, z forward); its centre is −Rᵀt. Cameras are `SIMPLE_PINHOLE` (f, cx, cy) or `PINHOLE` (fx, fy, cx, cy), in
-//! pixels counted from the corner of the first one; a view through any other model is refused by name, and only that
-//! view. Images are ordered by their names, numbers in them by value.
+//! An image has the rotation (quaternion w, x, y, z) and the translation from the world to the camera (x right, y down,
+//! z forward); its centre is −Rᵀt. Cameras are `SIMPLE_PINHOLE` (f, cx, cy) or `PINHOLE` (fx, fy, cx, cy), in pixels
+//! from the corner of the first one. For any other model, the error of the view names it; other views are not affected.
+//! Images are ordered by name, with numbers in names compared by value.
 //!
-//! COLMAP 4 stores poses of *frames* as well, one pose for all cameras of a *rig*, in `rigs` and `frames`. Where both
-//! hold something, they decide, as in COLMAP itself, and the poses of `images` are ignored:
+//! COLMAP 4 also stores poses of *frames*, one pose for all cameras of a *rig*, in `rigs` and `frames`. If both files
+//! have content, they decide, as in COLMAP itself, and the poses in `images` are ignored:
 //!
 //! ```text
 //! camera_from_world = sensor_from_rig · rig_from_world
 //! ```
 //!
-//! with no first factor for the sensor that the rig is measured from.
+//! without the first factor for the sensor that is the rig's reference.
 
 mod binary;
 mod rigs;
@@ -37,7 +37,7 @@ pub struct Files<'a> {
     pub cameras: &'a [u8],
     /// `images`.
     pub images: &'a [u8],
-    /// `rigs` and `frames`, of models since COLMAP 3.12 and 4.
+    /// `rigs` and `frames`, which COLMAP 3.12 and 4 added.
     pub rigs: Option<[&'a [u8]; 2]>,
 }
 
@@ -68,7 +68,7 @@ impl Rigid {
         Self { quaternion: [w, x, y, z], translation: [tx, ty, tz] }
     }
 
-    /// The pose of the camera whose coordinates these lead to; `None` for a quaternion of zeros.
+    /// Returns the pose of the camera to whose coordinates this transforms; `None` for a quaternion of zeros.
     fn camera(&self) -> Option<Pose> {
         let rotation = Rotation::from_quaternion(self.quaternion)?.inverse();
         let [x, y, z] = self.translation;
@@ -80,7 +80,7 @@ impl Rigid {
 /// Reads a model whose files are text.
 ///
 /// # Errors
-/// Lines of another form. A view that cannot be drawn is an error of its own in the set.
+/// Invalid lines. The error of a view that cannot be drawn is in the set.
 pub fn text(files: &Files<'_>) -> Result<CameraSet, FormatError> {
     let rigs = files.rigs.map(text::rigs).transpose()?;
     join(&text::cameras(files.cameras)?, text::images(files.images)?, rigs)
@@ -89,8 +89,7 @@ pub fn text(files: &Files<'_>) -> Result<CameraSet, FormatError> {
 /// Reads a model whose files are binary.
 ///
 /// # Errors
-/// Files that end early and camera models of unknown length. A view that cannot be drawn is an error of its own in the
-/// set.
+/// Truncated files and camera models of unknown length. The error of a view that cannot be drawn is in the set.
 pub fn binary(files: &Files<'_>) -> Result<CameraSet, FormatError> {
     let rigs = files.rigs.map(binary::rigs).transpose()?;
     join(&binary::cameras(files.cameras)?, binary::images(files.images)?, rigs)
@@ -102,7 +101,7 @@ fn join(
     rigs: Option<Rigs>,
 ) -> Result<CameraSet, FormatError> {
     images.sort_by(|a, b| natural::compare(a.name.as_bytes(), b.name.as_bytes()).then_with(|| a.name.cmp(&b.name)));
-    // Empty files are those of a model that has none.
+    // Empty files mean a model without rigs.
     let rigs = rigs.filter(|rigs| !rigs.is_empty());
     let cameras = images.into_iter().map(|image| {
         let camera = camera(intrinsics, &image, rigs.as_ref());

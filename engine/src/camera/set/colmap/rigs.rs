@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use super::Rigid;
 use crate::camera::Rotation;
 
-/// A rig: its cameras by their numbers. Sensors of other kinds are left out.
+/// A rig: its cameras by number. Other sensors are left out.
 #[derive(Debug, Default)]
 pub(super) struct Rig {
     /// The camera whose coordinates are the rig's.
     pub(super) reference: Option<u32>,
-    /// The others; `None` for an unknown pose in the rig.
+    /// The other cameras; `None` for an unknown pose in the rig.
     pub(super) others: BTreeMap<u32, Option<Rigid>>,
 }
 
@@ -23,7 +23,7 @@ pub(super) struct Frame {
     pub(super) images: Vec<(u32, u64)>,
 }
 
-/// All rigs, and of every image the camera and the frame.
+/// All rigs, and the camera and frame of each image.
 #[derive(Debug)]
 pub(super) struct Rigs {
     rigs: BTreeMap<u32, Rig>,
@@ -41,12 +41,12 @@ impl Rigs {
         Self { rigs, images, frames: count }
     }
 
-    /// Returns true if poses are those of the images themselves.
+    /// Returns true if the images' own poses are used.
     pub(super) fn is_empty(&self) -> bool {
         self.frames == 0
     }
 
-    /// Transformation from the world to an image's camera; or expected and found values.
+    /// Returns the transformation from the world to an image's camera; or expected and found values.
     pub(super) fn pose(&self, image: u32, camera: u32) -> Result<Rigid, [String; 2]> {
         let Some(&(sensor, number, pose)) = self.images.get(&u64::from(image)) else {
             return Err([format!("image {image} in a frame of the file frames"), "none".to_owned()]);
@@ -69,7 +69,7 @@ impl Rigs {
     }
 }
 
-/// `a` after `b`.
+/// Returns the composition: `b` first, then `a`.
 fn after(a: &Rigid, b: &Rigid) -> Option<Rigid> {
     let [p, q] = [Rotation::from_quaternion(a.quaternion)?, Rotation::from_quaternion(b.quaternion)?];
     let turned = p.matrix().map(|row| {

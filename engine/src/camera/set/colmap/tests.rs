@@ -3,7 +3,7 @@ use super::*;
 const CAMERAS: &str = "# a comment\n1 SIMPLE_PINHOLE 40 30 35 20 15\n7 PINHOLE 40 30 35 36 19 14.5\n";
 const IMAGES: &str = "# a comment\n1 1 0 0 0 0 0 2 1 b 10.png\n\n2 0.5 0.5 0.5 0.5 1 2 3 7 b 9.png\n1 2 3 4 5 6\n";
 
-/// Files of a model without rigs.
+/// Returns the files of a model without rigs.
 fn files<'a>(cameras: &'a [u8], images: &'a [u8]) -> Files<'a> {
     Files { cameras, images, rigs: None }
 }
@@ -46,7 +46,7 @@ fn text_and_binary_give_the_same_cameras_in_the_order_of_their_names() {
     }
 }
 
-/// Why the views of a set cannot be drawn, by their names.
+/// Returns the errors of a set's views, by name.
 fn refused(set: &CameraSet) -> Vec<(&str, String)> {
     let refused = set.cameras.iter().filter_map(|named| Some((named, named.camera.as_ref().err()?)));
     refused.map(|(named, error)| (named.name.as_str(), error.to_string())).collect()
@@ -94,7 +94,7 @@ fn with_rigs(rigs: &str, frames: &str) -> CameraSet {
     text(&Files { rigs, ..files(CAMERAS.as_bytes(), IMAGES.as_bytes()) }).expect("a model")
 }
 
-/// The binary form of the same.
+/// Returns the binary form of the same rigs.
 fn binary_rigs() -> [Vec<u8>; 2] {
     fn push(bytes: &mut Vec<u8>, words: &[u32], numbers: &[f64]) {
         bytes.extend(words.iter().flat_map(|n| n.to_le_bytes()));
@@ -118,10 +118,10 @@ fn rigs_and_frames_decide_where_images_say_something_else() {
         crate::camera::Camera::Posed { pose, .. } => pose,
         other => panic!("{other:?}"),
     };
-    // Half a turn about y takes (−x, y, −z), and the translation is the frame's.
+    // A half turn about y maps to (−x, y, −z), and the translation is the frame's.
     let first = place("b 10.png");
     assert_eq!(first.position, [1.0, -2.0, 3.0]);
-    // The frame's translation turned by (x, y, z) → (z, x, y), and the camera's own place.
+    // The frame's translation turned by (x, y, z) → (z, x, y), and the camera's own position.
     let second = place("b 9.png");
     let down = second
         .rotation

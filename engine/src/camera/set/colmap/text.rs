@@ -1,4 +1,4 @@
-//! The text form of a model: a line per record, `#` begins a comment.
+//! The text form of a model: a line per record; `#` starts a comment.
 
 use std::collections::BTreeMap;
 use std::str::{FromStr, SplitWhitespace};
@@ -7,7 +7,7 @@ use super::rigs::{Frame, Rig, Rigs};
 use super::{Extrinsics, Intrinsics, Rigid};
 use crate::import::FormatError;
 
-/// Error in a line: the record that was expected there.
+/// Returns the error of a line; `expected` is the expected record.
 fn line(file: &str, at: usize, expected: &str) -> FormatError {
     FormatError::new(format!("{file}, line {}", at + 1), expected, "another")
 }
@@ -72,7 +72,7 @@ pub(super) fn images(bytes: &[u8]) -> Result<Vec<Extrinsics>, FormatError> {
         }
         let camera = number(word()).ok_or_else(fail)?;
         images.push(Extrinsics { id, name: rest.to_owned(), pose: Rigid::new(numbers), camera });
-        // The points seen in the image; the line may be empty.
+        // The points seen in the image; this line may be empty.
         lines.next();
     }
     Ok(images)
@@ -95,7 +95,7 @@ pub(super) fn rigs([rigs, frames]: [&[u8]; 2]) -> Result<Rigs, FormatError> {
     Ok(Rigs::new(all, moments))
 }
 
-/// The number of a camera; `Some(None)` for another sensor.
+/// Reads a sensor; returns the number of a camera, `Some(None)` for another sensor.
 fn sensor(words: &mut SplitWhitespace<'_>) -> Option<Option<u32>> {
     let kind = words.next()?;
     let id = number(words.next())?;

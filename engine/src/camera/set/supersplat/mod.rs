@@ -2,16 +2,16 @@
 //!
 //! | version | first camera | animations |
 //! |---|---|---|
-//! | none | `camera`: `position`, `target`, `fov` (75 where it is left out) | `animTracks` (`fov` is the camera's, or 60) |
+//! | none | `camera`: `position`, `target`, `fov` (default 75) | `animTracks` (`fov` is the camera's, or 60) |
 //! | 2 | `cameras`, each with `initial`: `position`, `target`, `fov` | `animTracks` |
 //!
-//! The viewer shows a file's scene turned by half a turn about z and has y up, so the point (x, y, z) of the settings
-//! is (−x, −y, z) of the file, and up is −y. `fov` is in degrees, across the longer side of the image: the horizontal
-//! one unless the image is upright. The settings have no image size. The caller sets it; the default is 1280×720.
+//! The viewer shows a file's scene after a half turn about z and has y up. So the point (x, y, z) of the settings is
+//! (−x, −y, z) of the file, and up is −y. `fov` is in degrees, across the longer side of the image: horizontal unless
+//! the image is upright. The settings have no image size. The caller sets it; the default is 1280×720.
 //!
-//! The first animation, where there is one, is the path: `duration` seconds of `frameRate` images a second along the
-//! viewer's own spline (`spline.rs`). The first camera is then found as `initial`, and the cameras of `annotations` by
-//! their titles.
+//! The first animation, if there is one, is the path: `duration` seconds of `frameRate` images a second along the
+//! viewer's own spline (`spline.rs`). In that case the first camera can be selected as `initial`, and the cameras of
+//! `annotations` by their titles.
 
 mod spline;
 
@@ -26,7 +26,7 @@ use spline::Spline;
 const FORMAT: &str = "settings of SuperSplat";
 /// Default image size, width and height.
 const SIZE: [usize; 2] = [1280, 720];
-/// Most images of an animation.
+/// Maximum number of images of an animation.
 const MOST: f64 = 100_000.0;
 /// Default images per second, for animations without `frameRate`. Their keyframe times are in seconds.
 const RATE: f64 = 30.0;
@@ -98,7 +98,7 @@ pub(super) fn read(value: &Value, size: Option<[usize; 2]>) -> Result<CameraSet,
     }
     let size = size.unwrap_or(SIZE).map(|side| side as f64);
     let field = camera.as_ref().and_then(|camera| camera.fov);
-    // A camera without a place is where the viewer frames the scene.
+    // A camera without a position is placed by the viewer.
     let old = camera.filter(|view| view.position.is_some() && view.target.is_some());
     let views: Vec<View> = old.into_iter().chain(cameras.into_iter().map(|start| start.initial)).collect();
     let named = |name: String, view: &View| NamedCamera { camera: sized(&name, view, 75.0, size), name };
@@ -123,13 +123,13 @@ pub(super) fn read(value: &Value, size: Option<[usize; 2]>) -> Result<CameraSet,
     Ok(CameraSet { aside: [starts, noted].concat(), rate: Some(rate), ..set })
 }
 
-/// The camera of a view of the viewer's world, for images of `size`.
+/// Converts a view of the viewer's world to a camera, for images of `size`.
 fn sized(name: &str, view: &View, field: f64, size: [f64; 2]) -> Result<SizedCamera, FormatError> {
     let fail = |expected: &str, found: String| FormatError::new(name, expected, found);
     let (Some(position), Some(target)) = (view.position, view.target) else {
         return Err(fail("position and target", "one of them or neither".to_owned()));
     };
-    // The viewer takes its own where the field is 0.
+    // The viewer uses its default field if `fov` is 0.
     let field = view.fov.filter(|fov| *fov != 0.0).unwrap_or(field);
     if !(field > 0.0 && field < 180.0) {
         return Err(fail("a fov between 0 and 180 degrees", field.to_string()));
@@ -144,7 +144,7 @@ fn sized(name: &str, view: &View, field: f64, size: [f64; 2]) -> Result<SizedCam
 }
 
 impl Track {
-    /// The view of every image.
+    /// Returns the view of every image.
     fn views(&self, rate: f64, field: f64) -> Result<Vec<View>, FormatError> {
         let fail = |part: &str, expected: String, found: String| {
             FormatError::new(format!("animation: {part}"), expected, found)
@@ -164,7 +164,7 @@ impl Track {
             let found = format!("{count} times, {} s, {rate} images a second", self.duration);
             return Err(fail("length", format!("times, and at most {MOST} images"), found));
         }
-        // Where there is no rate times are seconds.
+        // Without a rate, times are in seconds.
         let scale = if self.frame_rate.is_none_or(|rate| rate == 0.0) { rate } else { 1.0 };
         let times: Vec<f64> = times.iter().map(|time| time * scale).collect();
         if times.iter().any(|time| !time.is_finite()) || !times.is_sorted_by(|a, b| a < b) {
@@ -181,7 +181,7 @@ impl Track {
             &points.collect::<Vec<_>>(),
             self.smoothness.unwrap_or(0.0),
         );
-        // The last image of an animation that repeats is its first one.
+        // The last image of an animation that repeats equals its first one.
         let repeats = self.loop_mode.as_deref() == Some("repeat") && images >= 1.0;
         let last = if repeats { images.ceil() as usize - 1 } else { images as usize };
         Ok((0..=last)

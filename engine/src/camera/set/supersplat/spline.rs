@@ -9,18 +9,18 @@
 //! The animation is a loop: copies of its last two points precede the first point, and copies of its first two follow
 //! the last, shifted in time by the animation's length.
 
-/// Numbers of a point: position, target, field of view.
+/// Components of a point: position, target, field of view.
 type Point = [f64; 7];
 
 pub(super) struct Spline {
     times: Vec<f64>,
     points: Vec<Point>,
-    /// By unit of time.
+    /// Per unit of time.
     tangents: Vec<Point>,
 }
 
 impl Spline {
-    /// The curve through points at times that ascend, closed after `length`.
+    /// Returns the curve through points at increasing times, closed after `length`.
     pub(super) fn looping(length: f64, times: &[f64], points: &[Point], smoothness: f64) -> Self {
         let (mut times, mut points) = (times.to_vec(), points.to_vec());
         let n = times.len();

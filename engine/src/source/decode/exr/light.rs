@@ -1,7 +1,7 @@
-//! Colours in linear light, as pictures of the display.
+//! Conversion of linear light to display-referred sRGB.
 //!
-//! Curves are computed by additions, products, quotients and square roots in binary64, which every CPU rounds alike:
-//! roots are Newton's.
+//! Curves are computed with additions, products, quotients and square roots in binary64, which every CPU rounds alike.
+//! Other roots are found by Newton's method.
 
 use std::sync::OnceLock;
 
@@ -13,10 +13,10 @@ use crate::openexr::Chromaticities;
 pub(super) const REC709: Chromaticities = [[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], D65];
 const D65: [f64; 2] = [0.3127, 0.3290];
 const ACES_WHITE: [f64; 2] = [0.32168, 0.33767];
-/// Light of the grey that lies behind transparent pixels: sRGB's of ½.
+/// Linear light of the grey behind transparent pixels: sRGB's ½.
 pub(super) const BEHIND: f64 = 0.214_041_140_482_232_55;
 
-/// Primaries and white that colour spaces are named after.
+/// Returns the primaries and white point of a named colour space.
 pub(super) fn primaries(name: &str) -> Option<Chromaticities> {
     Some(match name {
         "rec709" | "srgb" => REC709,
@@ -42,7 +42,7 @@ pub(super) enum Curve {
 }
 
 impl Curve {
-    /// Light of a sample.
+    /// Converts a sample to linear light.
     pub fn light(self, sample: f64) -> f64 {
         let power = |x: f64| match self {
             Curve::Linear => x,
@@ -54,13 +54,14 @@ impl Curve {
     }
 }
 
-/// The sample of sRGB for light.
+/// Converts linear light to a sample of sRGB.
 pub(super) fn to_srgb(light: f64) -> f64 {
-    // The power 5/12 is the cube root of that of 5/4.
+    // x^(5/12) is the cube root of x^(5/4).
     if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * root(3, light * light.sqrt().sqrt()) - 0.055 }
 }
 
-/// As [`to_srgb`], of a number of binary32; those of binary16, which most files hold, are looked up.
+/// Computes [`to_srgb`] of a binary32 number. Values that binary16 can hold, as in most files, are looked up in a
+/// table.
 pub(super) fn sample(light: f32) -> f32 {
     static HALVES: OnceLock<Vec<f32>> = OnceLock::new();
     let half = f16::from_f32(light);
@@ -71,19 +72,19 @@ pub(super) fn sample(light: f32) -> f32 {
     to_srgb(f64::from(light)) as f32
 }
 
-/// `x` to the power of `power` tenths, for `x` not below 0.
+/// Returns `x` to the power of `power` tenths, for `x` ≥ 0.
 fn tenths(x: f64, power: u8) -> f64 {
     let whole = |n: u8| (0..n).fold(1.0, |product, _| product * x);
     whole(power / 10) * root(5, whole(power % 10)).sqrt()
 }
 
-/// The root of that degree of a number not below 0.
+/// Returns the root of that degree of a number ≥ 0.
 fn root(degree: u8, x: f64) -> f64 {
     const SMALLEST: f64 = 1e-60;
     if x < SMALLEST {
         return 0.0;
     }
-    // The exponent's part of the root: within 12 % of it.
+    // Initial value from the exponent: within 12 % of the root.
     let ones = 1.0_f64.to_bits();
     let mut root = f64::from_bits(ones - ones / u64::from(degree) + x.to_bits() / u64::from(degree));
     let n = f64::from(degree);
@@ -96,11 +97,11 @@ fn root(degree: u8, x: f64) -> f64 {
 
 type Matrix = [[f64; 3]; 3];
 
-/// From colours of these primaries to those of sRGB, white to white; `None` where they are sRGB's, and for primaries
-/// that span nothing.
+/// Returns the matrix from colours of these primaries to those of sRGB, with white mapped to white; `None` if the
+/// primaries are sRGB's.
 ///
 /// # Errors
-/// Primaries that are on a line, or a white without luminance.
+/// Primaries that lie on a line and span no colours, or a white without luminance.
 pub(super) fn to_rec709(from: Chromaticities) -> Result<Option<Matrix>, String> {
     let near = from.iter().flatten().zip(REC709.iter().flatten()).all(|(a, b)| (a - b).abs() < 0.001);
     if near {
@@ -114,7 +115,7 @@ pub(super) fn to_rec709(from: Chromaticities) -> Result<Option<Matrix>, String> 
     if matrix.iter().flatten().all(|v| v.is_finite()) { Ok(Some(matrix)) } else { Err(wrong()) }
 }
 
-/// `matrix` times a colour.
+/// Multiplies `matrix` by a colour.
 pub(super) fn applied(matrix: &Matrix, colour: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|row| (0..3).map(|k| matrix[row][k] * colour[k]).sum())
 }
@@ -132,12 +133,12 @@ fn inverse(m: Matrix) -> Option<Matrix> {
     (determinant.abs() > 1e-9).then(|| [0, 1, 2].map(|row| [0, 1, 2].map(|column| minor(column, row) / determinant)))
 }
 
-/// XYZ of luminance 1.
+/// Returns XYZ at luminance 1 of a chromaticity.
 fn xyz([x, y]: [f64; 2]) -> Option<[f64; 3]> {
     (y.abs() > 1e-9).then(|| [x / y, 1.0, (1.0 - x - y) / y])
 }
 
-/// From RGB to XYZ, white at luminance 1.
+/// Returns the matrix from RGB to XYZ, with white at luminance 1.
 fn to_xyz([red, green, blue, white]: Chromaticities) -> Option<Matrix> {
     let columns = [red, green, blue].map(|[x, y]| [x, y, 1.0 - x - y]);
     let primaries: Matrix = [0, 1, 2].map(|row| [0, 1, 2].map(|column| columns[column][row]));
@@ -145,7 +146,7 @@ fn to_xyz([red, green, blue, white]: Chromaticities) -> Option<Matrix> {
     Some([0, 1, 2].map(|row| [0, 1, 2].map(|column| primaries[row][column] * scale[column])))
 }
 
-/// Bradford's adaptation from one white to another.
+/// Returns Bradford's adaptation from one white to another.
 fn adaptation(from: [f64; 2], to: [f64; 2]) -> Option<Matrix> {
     const CONES: Matrix = [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]];
     let (from, to) = (applied(&CONES, xyz(from)?), applied(&CONES, xyz(to)?));

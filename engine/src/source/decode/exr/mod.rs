@@ -1,11 +1,12 @@
 //! OpenEXR pictures: selection of the colour channels, and conversion of their colour space.
 //!
-//! The display window is the picture. Outside of the data window it is black, and transparent if there is alpha. Pixels
-//! that are not square are made so by enlarging.
+//! The picture is the display window. Outside the data window it is black, and transparent if there is alpha. Pixels
+//! that are not square are made square by enlarging one side.
 //!
 //! Colours are linear light of BT.709's primaries unless the file declares another space: by `colorInteropID`, by
 //! `oiio:ColorSpace`, by the flag of ACES containers or by its chromaticities. They are premultiplied by alpha, as the
-//! format requires. They are composited over mid grey in linear light; display-referred colours as they are stored.
+//! format requires. Linear colours are composited over mid grey in linear light, display-referred ones as they are
+//! stored.
 
 mod light;
 mod space;
@@ -18,9 +19,9 @@ use crate::picture::size_is_allowed;
 use crate::source::SourceError;
 use space::Space;
 
-/// Most names that a message lists.
+/// Maximum number of names that a message lists.
 const LISTED: usize = 12;
-/// Names of layers that are the whole picture, in lower case.
+/// Layer names, in lower case, that mean the whole picture.
 const WHOLE: [&str; 9] = ["combined", "beauty", "rgba", "rgb", "colour", "color", "composite", "main", "final"];
 
 pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Still, SourceError> {
@@ -62,9 +63,9 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Still, SourceError> {
     Ok(still)
 }
 
-/// Makes pixels square, by enlarging.
+/// Makes pixels square by enlarging one side.
 fn square(still: &mut Still, aspect: f32, path: &Path) -> Result<(), SourceError> {
-    /// Aspects between which a pixel is one.
+    /// Plausible pixel aspects.
     const USUAL: std::ops::RangeInclusive<f32> = 0.1..=10.0;
     if (aspect - 1.0).abs() < 0.001 {
         return Ok(());
@@ -88,9 +89,9 @@ fn square(still: &mut Still, aspect: f32, path: &Path) -> Result<(), SourceError
 /// The channels of a part that are colours.
 struct Colours<'a> {
     part: Part<'a>,
-    /// Layer prefix of the channels' names, with its trailing point.
+    /// Layer prefix of the channels' names, with its trailing dot.
     prefix: String,
-    /// Luminance alone.
+    /// True for luminance alone.
     grey: bool,
     alpha: bool,
 }
@@ -102,21 +103,21 @@ impl Colours<'_> {
         colours.iter().chain(alpha).map(|name| format!("{}{name}", self.prefix)).collect()
     }
 
-    /// The layer's name in words.
+    /// Returns the layer's name for messages.
     fn label(&self) -> String {
         let prefix = self.prefix.trim_end_matches('.');
         if prefix.is_empty() { self.part.name() } else { prefix.to_owned() }
     }
 
-    /// True if the layer is called as the whole picture is.
+    /// Returns true if the layer's name means the whole picture.
     fn is_whole(&self) -> bool {
         let label = self.label().to_ascii_lowercase();
         WHOLE.contains(&label.rsplit('.').next().unwrap_or_default())
     }
 }
 
-/// Chooses the colour channels: those of the only layer that has any; of several, those without a layer's name, else
-/// those of the layer with a name in `WHOLE`. Other layers are listed in a note.
+/// Chooses the colour channels. With several candidates, channels without a layer come first, then those of the layer
+/// whose name is in `WHOLE`. Other layers are listed in a note.
 fn choose<'a>(file: &'a File<'_>, notes: &mut Vec<String>) -> Result<Colours<'a>, String> {
     let mut found: Vec<Colours<'a>> = Vec::new();
     let mut names = Vec::new();

@@ -5,10 +5,10 @@ use crate::openexr::{Chromaticities, Part};
 
 /// Colour space of samples.
 pub(super) struct Space {
-    /// Its name, or the attribute that defines it; none if the file has neither.
+    /// Its name, or the attribute that defines it; `None` if the file has neither.
     name: Option<String>,
     curve: Curve,
-    /// To BT.709's primaries, where they are others.
+    /// Matrix to BT.709's primaries, if the file's are others.
     matrix: Option<[[f64; 3]; 3]>,
 }
 
@@ -33,7 +33,7 @@ impl Space {
         }
     }
 
-    /// True if samples are those of the display.
+    /// Returns true if the samples are display-referred.
     pub fn is_shown(&self) -> bool {
         self.curve == Curve::Srgb && self.matrix.is_none()
     }
@@ -49,7 +49,8 @@ impl Space {
         }
     }
 
-    /// Pixels of `colours` samples, and alpha behind them where there is one, as colours of the display over mid grey.
+    /// Converts pixels of `colours` samples each, followed by alpha if `alpha`, to display-referred colours over mid
+    /// grey.
     pub fn shown(&self, samples: &[f32], colours: usize, alpha: bool) -> Vec<f32> {
         let channels = colours + usize::from(alpha);
         let mut shown = Vec::with_capacity(samples.len() / channels * colours);
@@ -70,8 +71,8 @@ impl Space {
     }
 }
 
-/// Curve and primaries of a named space: an identifier of the Color Interop Forum, or a name of OpenImageIO or of
-/// OpenColorIO's configurations. `None` for the primaries selects those of the file.
+/// Returns curve and primaries of a named space: an identifier of the Color Interop Forum, or a name of OpenImageIO or
+/// of OpenColorIO's configurations. Primaries of `None` mean those of the file.
 fn named(name: &str) -> Result<(Curve, Option<Chromaticities>), String> {
     let plain: String =
         name.trim().to_ascii_lowercase().chars().map(|c| if c == ' ' || c == '-' { '_' } else { c }).collect();
@@ -86,7 +87,7 @@ fn named(name: &str) -> Result<(Curve, Option<Chromaticities>), String> {
         "linear_p3_d65" => return known(Curve::Linear, "p3d65"),
         "acescg" | "aces___acescg" => return known(Curve::Linear, "ap1"),
         "aces2065_1" | "aces___aces2065_1" => return known(Curve::Linear, "ap0"),
-        // Video's numbers are taken as they are, as those of a video are.
+        // Video's samples are used as they are, as for video files.
         "srgb" | "srgb_tx" | "srgb_texture" | "srgb___texture" | "rec709" | "g24_rec709" => {
             return known(Curve::Srgb, "rec709");
         }
@@ -104,7 +105,7 @@ fn named(name: &str) -> Result<(Curve, Option<Chromaticities>), String> {
         };
         Some((curve, Some(light::primaries(primaries)?)))
     });
-    // OpenImageIO's "Gamma2.2".
+    // Names such as OpenImageIO's "Gamma2.2".
     let power =
         || plain.strip_prefix("gamma").and_then(|digits| gamma(&digits.replacen('.', "", 1))).map(|g| (g, None));
     space.or_else(power).ok_or_else(|| {
@@ -114,7 +115,7 @@ fn named(name: &str) -> Result<(Curve, Option<Chromaticities>), String> {
     })
 }
 
-/// The power of two digits.
+/// Returns the power curve with the exponent in two digits.
 fn gamma(digits: &str) -> Option<Curve> {
     digits.parse().ok().filter(|gamma| digits.len() == 2 && (10..=30).contains(gamma)).map(Curve::Gamma)
 }

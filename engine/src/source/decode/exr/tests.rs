@@ -8,7 +8,7 @@ use crate::picture::Picture;
 
 /// A file of one part.
 struct Written<'a> {
-    /// Left and upper edge, width and height.
+    /// Left edge, upper edge, width and height.
     display: [i32; 4],
     data: [i32; 4],
     channels: Vec<(&'a str, Vec<f32>)>,
@@ -135,7 +135,7 @@ fn other_primaries_become_those_of_srgb() {
     let eight = found.picture.to_rgb8();
     assert!(eight[1] >= 254 && eight[0] < 12 && eight[2] < 12, "{eight:?}");
     assert!(found.notes.iter().any(|note| note.contains("its chromaticities")), "{:?}", found.notes);
-    // Those of sRGB change nothing.
+    // Primaries equal to sRGB's change nothing.
     let same = Written {
         chromaticities: Some([[0.64, 0.33], [0.3, 0.6], [0.15, 0.06], [0.3127, 0.329]]),
         ..said(&[], [0.5; 3])
@@ -182,7 +182,7 @@ fn the_display_window_is_the_picture() {
         let hundredths: Vec<i32> = rgb[..width * height].iter().map(|v| (v * 100.0).round() as i32).collect();
         (width, height, hundredths)
     };
-    // Inside, at the edge, all around, and elsewhere.
+    // Data window inside the display window, at its edge, all around it, and outside.
     assert_eq!(shown([0, 0, 4, 3], [1, 1, 2, 1]), (4, 3, vec![0, 0, 0, 0, 0, 1, 2, 0, 0, 0, 0, 0]));
     assert_eq!(shown([10, 20, 3, 2], [12, 19, 2, 2]), (3, 2, vec![0, 0, 3, 0, 0, 0]));
     assert_eq!(shown([0, 0, 2, 1], [-1, -1, 4, 3]), (2, 1, vec![6, 7]));
