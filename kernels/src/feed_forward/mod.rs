@@ -1,11 +1,11 @@
-//! The feed-forward layer of a transformer block, a residual branch on each row apart.
+//! The feed-forward layer of a transformer block: a residual branch on each row by itself.
 //!
 //! `x ← x + γ·(act(norm(x)·W₁ᵀ + b₁)·W₂ᵀ + b₂)` for `x [m,d]`, `W₁ [h,d]`, `W₂ [d,h]`; absent terms are left out.
 //!
 //! Every step is that of [`norm`](crate::norm) and [`gemm`](crate::gemm), with their orders of accumulation and their
-//! bits. A task takes a block of rows through all of them: normalised while they are packed, hidden values in memory of
-//! the task alone that stays in the second-level cache. Where there are too few rows for that, the two products are cut
-//! into tasks by themselves.
+//! bits. A task takes a block of rows through all of them. Rows are normalised while they are packed; hidden values are
+//! in memory of the task alone, which stays in the second-level cache. Where there are too few rows for that, the two
+//! products are cut into tasks separately.
 
 #[cfg(test)]
 mod tests;
@@ -37,7 +37,7 @@ pub struct FeedForward<'a> {
 /// Tasks that a layer is cut into where there are rows enough.
 const TASKS: usize = 24;
 
-/// The fewest that keep the threads busy to the end.
+/// The fewest tasks that keep the threads busy to the end.
 const FEWEST: usize = 8;
 
 impl FeedForward<'_> {
