@@ -143,7 +143,7 @@ fn a_point_on_the_backdrop_does_not_go_with_the_sprite() {
             assert!((points[0].pixel[0] - pixel[0]).abs() < 1e-3 && (points[0].pixel[1] - pixel[1]).abs() < 1e-3);
             track = next;
         }
-        // And back again.
+        // Then backward.
         for interval in intervals.iter().rev() {
             let (points, next) = track.backward(interval, &[interval.start]).expect("it was there");
             assert_eq!(points[0].position, picked.position);

@@ -44,7 +44,7 @@ impl FeedForward<'_> {
     /// `x ← x + …` for every row of `x [m, d]`. See [the module](self).
     ///
     /// # Panics
-    /// When `x` is no whole number of rows, or a weight or vector does not fit the others.
+    /// When `x` is not a whole number of rows, or a weight or vector does not fit the others.
     pub fn accumulate(&self, level: Level, x: &mut [f32]) {
         let (d, width) = (self.norm.width(), self.expand.n());
         assert_eq!(self.contract.n(), d, "W₂ gives {} values, expected d = {d}", self.contract.n());

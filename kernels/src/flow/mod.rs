@@ -71,7 +71,7 @@ use search::{Grid, Guess};
 /// Luma `[h, w]` of `rgb` `[3, h, w]`: 0.299 R + 0.587 G + 0.114 B (BT.601).
 ///
 /// # Panics
-/// When the length is no multiple of 3.
+/// When the length is not a multiple of 3.
 pub fn luma(level: Level, rgb: &[f32]) -> Vec<f32> {
     assert!(rgb.len().is_multiple_of(3), "{} values in three planes", rgb.len());
     let area = rgb.len() / 3;

@@ -34,7 +34,7 @@ const TASK: usize = 1 << 14;
 /// `out = x / √(mean(x²) + ε) · w` for every row of `x [rows, w.len()]`. See [the module](self).
 ///
 /// # Panics
-/// When `x` is no whole number of rows or `out` has another size.
+/// When `x` is not a whole number of rows or `out` has another size.
 pub fn rms_norm(level: Level, x: &[f32], w: &[f32], epsilon: f32, out: &mut [f32]) {
     rows(level, x, out, Norm::rms(w, epsilon));
 }
@@ -42,7 +42,7 @@ pub fn rms_norm(level: Level, x: &[f32], w: &[f32], epsilon: f32, out: &mut [f32
 /// `out = (x − mean(x)) / √(variance + ε) · w + b` for every row of `x [rows, w.len()]`. See [the module](self).
 ///
 /// # Panics
-/// When `x` is no whole number of rows, or `b` or `out` have another size.
+/// When `x` is not a whole number of rows, or `b` or `out` have another size.
 pub fn layer_norm(level: Level, x: &[f32], w: &[f32], b: &[f32], epsilon: f32, out: &mut [f32]) {
     rows(level, x, out, Norm::layer(w, b, epsilon));
 }

@@ -109,7 +109,7 @@ impl Layer {
 /// index of the block's first row. `work` applies a network's layers one after the other.
 ///
 /// # Panics
-/// When `out` is no whole number of rows.
+/// When `out` is not a whole number of rows.
 pub fn for_each_block(out: &mut [f32], width: usize, work: impl Fn(usize, &mut [f32]) + Sync + Send) {
     if out.is_empty() {
         return;
@@ -126,7 +126,7 @@ pub fn for_each_block(out: &mut [f32], width: usize, work: impl Fn(usize, &mut [
 /// Transposes up to [`TOKENS`] rows of `k` values into `to [k, 48]`; lanes without a row hold zeros.
 ///
 /// # Panics
-/// When `rows` is no whole number of rows or too many, or `to` has another size.
+/// When `rows` is not a whole number of rows, or holds too many, or `to` has another size.
 pub fn load(rows: &[f32], k: usize, to: &mut [f32]) {
     assert_eq!(to.len(), product([k, TOKENS]), "a block holds {} values, expected k·48 with k = {k}", to.len());
     if k == 0 {
@@ -143,7 +143,7 @@ pub fn load(rows: &[f32], k: usize, to: &mut [f32]) {
 /// Transposes the first tokens of `from [n, 48]` into as many rows of `n` values as `rows` holds.
 ///
 /// # Panics
-/// When `rows` is no whole number of rows or too many, or `from` has another size.
+/// When `rows` is not a whole number of rows, or holds too many, or `from` has another size.
 pub fn store(from: &[f32], n: usize, rows: &mut [f32]) {
     assert_eq!(from.len(), product([n, TOKENS]), "a block holds {} values, expected n·48 with n = {n}", from.len());
     if n == 0 {

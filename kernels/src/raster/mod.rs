@@ -1,6 +1,6 @@
 //! Rasterisation of 3-D Gaussians, orthographic or pinhole: project, bin, sort, blend.
 //!
-//! # What is computed
+//! # Definition
 //!
 //! Gaussians come in view space: x right, y down, z forward. Gaussian i with mean (x, y, z), scales S, rotation R (from
 //! the quaternion as it is, not normalised) and opacity o has the footprint

@@ -5,7 +5,7 @@
 //! of either sign: the weight, and the bias where there is one. Checkpoints have many of them when training starts with
 //! zero-output branches and keeps some.
 //!
-//! # What is left of it
+//! # What remains
 //! A zero-output branch adds +0 to every token. In f32 and bf16 a product with zeros is a chain of fused multiply-adds
 //! that starts from +0. It stays there, as `a·0 + 0` is +0 for every finite `a`. In 8-bit integers the sum is the
 //! integer 0, and its scales are not negative. A bias of −0, or none, leaves +0 unchanged. So norm, projections and

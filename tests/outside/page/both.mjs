@@ -161,7 +161,7 @@ async function links(page) {
   await page.waitForFunction(() => window.copied[1] === "whole");
 }
 
-/** Our own container opens in place of a still scene, and shows the served picture; broken ones are refused in a line. */
+/** Our own container replaces a still scene, and shows the served picture; broken ones are refused in a line. */
 async function containers(page) {
   const drop = (file, bytes) =>
     page.evaluate(([file, bytes]) => {

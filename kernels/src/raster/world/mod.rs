@@ -1,6 +1,6 @@
 //! Gaussians in world space drawn by gsplat's conventions, in any number of channels, and the adjoint of the image.
 //!
-//! # What is computed
+//! # Definition
 //!
 //! A Gaussian with mean w, quaternion q, scales S = diag(s), opacity o and channels c is seen by a camera with the
 //! world-to-view matrix [V | t]:
