@@ -1,10 +1,10 @@
-"""The public interface of the published libraries, an item a line, in docs/api/*.txt.
+"""The public interface of the published libraries, one item per line, in docs/api/*.txt.
 
 python3 .ci/api.py          fails where the listing is out of date
 python3 .ci/api.py --store  writes it
 
-rustdoc describes each library in JSON, which the stable one does when it is told that it may (RUSTC_BOOTSTRAP, for rustdoc alone). The listing is that of
-x86-64 with the default features.
+rustdoc describes each library in JSON; the stable rustdoc does so with RUSTC_BOOTSTRAP set, for rustdoc alone. The listing is that of x86-64 with the default
+features.
 """
 import difflib
 import json
@@ -19,7 +19,7 @@ CRATES = {'streamsplat-kernels': 'kernels', 'streamsplat-model': 'model', 'strea
 
 
 def described(package):
-    """A library as rustdoc describes it."""
+    """rustdoc's description of a library."""
     with tempfile.TemporaryDirectory() as folder:
         rustdoc = pathlib.Path(folder) / 'rustdoc'
         rustdoc.write_text('#!/bin/sh\nRUSTC_BOOTSTRAP=1 exec rustdoc "$@"\n')

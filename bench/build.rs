@@ -3,7 +3,7 @@
 
 use std::process::Command;
 
-/// Settings that change the code that is made, and their defaults.
+/// Settings that change the generated code, and their defaults.
 const SETTINGS: [(&str, &str); 6] = [
     ("CARGO_ENCODED_RUSTFLAGS", ""),
     ("CARGO_INCREMENTAL", "0"),

@@ -1,8 +1,8 @@
-"""What the encoder of a delivered video costs: delivered.py PROGRAM CLIPS [--crf 10,14,23] [--kind mp4] [--frames N]
+"""Loss of quality by the encoder of a delivered video: delivered.py PROGRAM CLIPS [--crf 10,14,23] [--kind mp4] [--frames N]
 
-CLIPS is a folder of clips, each a folder of images. A clip is run once; its images are then encoded at each quality by `render`, decoded by ffmpeg, and both are
-compared with the clip's own frames at full size. For each clip it prints the PSNR of the drawn images and the change that encoding makes to it, twice: of the squared error pooled over all frames,
-and of the mean over frames of their PSNR; and the bytes of the video.
+CLIPS is a folder of clips, each a folder of images. A clip is run once; its images are then encoded at each quality by `render`, decoded by ffmpeg, and both
+are compared with the clip's own frames at full size. For each clip it prints the PSNR of the drawn images, its change by encoding, and the bytes of the video.
+PSNR is printed twice: of the squared error pooled over all frames, and as the mean of the frames' PSNR.
 """
 
 import argparse

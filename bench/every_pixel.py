@@ -1,8 +1,8 @@
 """streamsplat_cpu.rasterization compared with litesplat 0.1.1, the one package of PyPI that draws Gaussians on a CPU: every_pixel.py [ROUNDS]
 
-litesplat evaluates every Gaussian at every pixel, through Keras; 1,000 Gaussians at 96×54 is what it draws in seconds. It adds no low-pass, so ours adds none
-(eps2d=0), and its rows run from the bottom. The images are compared first. litesplat and Keras are installed in a temporary folder; PyTorch and
-streamsplat_cpu come from the environment of tests/outside/rasterization/run.
+litesplat evaluates every Gaussian at every pixel, through Keras; it draws 1,000 Gaussians at 96×54 in seconds. It adds no low-pass, so ours adds none
+(eps2d=0), and its rows run from the bottom. The images are compared first. litesplat and Keras are installed in a temporary folder; PyTorch and streamsplat_cpu
+come from the environment of tests/outside/rasterization/run.
 """
 import json
 import os
@@ -35,7 +35,7 @@ def theirs(folder, arrays):
     named = [dict(position=m, color=c, rotation=q, translation=m, scale=s, opacity=o) for m, c, q, s, o in columns]
     (folder / 'gaussians.json').write_text(json.dumps(named))
     (fx, _, cx), (_, fy, cy), _ = arrays['Ks'][0].tolist()
-    # Pixel centres are whole numbers there.
+    # litesplat's pixel centres are whole numbers.
     camera = dict(camera_id=0, model='PINHOLE', image_name='', width=WIDTH, height=HEIGHT, fx=fx, fy=fy, cx=cx - 0.5, cy=cy + 0.5,
                   rotation=np.eye(3).tolist(), translation=[0.0, 0.0, 0.0])
     (folder / 'camera.json').write_text(json.dumps([camera]))
@@ -47,7 +47,7 @@ def main():
     rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 5
     torch.set_num_threads(2)
     arrays = scene(COUNT, WIDTH, HEIGHT)
-    # litesplat draws turned Gaussians as other ones (findings/litesplat-turned.sh): these are not turned, and round.
+    # litesplat draws rotated Gaussians wrongly (findings/litesplat-turned.sh), so these are round and not rotated.
     arrays['quats'][:] = torch.tensor([1.0, 0, 0, 0])
     arrays['scales'][:] = arrays['scales'].mean(dim=-1, keepdim=True)
     with tempfile.TemporaryDirectory() as folder, torch.no_grad():

@@ -1,10 +1,11 @@
 """Time from a large PLY file to its first picture: large.py PROGRAM [PROGRAM…].
 
-Makes a seeded scene of 5,000,000 Gaussians with harmonics of degree 3 (`streamsplat-fixtures trained`, 1.24 GB, removed at the end) and lets each program
-draw it in turn, round after round, with the file in the system's cache. The table has the median, the least and the largest of wall time, of processor
-time and of peak memory. Of several programs each is compared with the first: the median of the rounds' ratios, and whether their pictures are the same.
+Writes a seeded scene of 5,000,000 Gaussians with harmonics of degree 3 (`streamsplat-fixtures trained`, 1.24 GB, removed at the end). Each program draws it in
+turn, round after round, with the file in the system's cache. The table has the median, the least and the largest of wall time, of processor time and of peak
+memory. With several programs each is compared with the first: the median of the rounds' ratios, and equality of the pictures.
 
-Options: --gaussians N, --scene FILE (a file of so many Gaussians that exists), --rounds N, --size WxH, --threads N, --folder DIR (where files are made), --json FILE.
+Options: --gaussians N, --scene FILE (an existing file of that many Gaussians), --rounds N, --size WxH, --threads N, --folder DIR (for written files), --json
+FILE.
 """
 import argparse
 import hashlib
@@ -61,7 +62,7 @@ def main():
                 picture.unlink(missing_ok=True)
                 measured = drawn(program, scene, picture, options)
                 pictures[program] = hashlib.sha256(picture.read_bytes()).hexdigest()
-                # The first round brings the file into the cache.
+                # The first round reads the file into the cache.
                 if turn:
                     found[program].append(measured)
     for program, rounds in found.items():

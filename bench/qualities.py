@@ -1,9 +1,9 @@
-"""Frames a second and PSNR of the qualities: qualities.py PROGRAM CLIPS [--rounds 3] [--frames N] [--json FILE]
+"""Frames per second and PSNR of the qualities: qualities.py PROGRAM CLIPS [--rounds 3] [--frames N] [--json FILE]
 
-CLIPS is a folder of clips, each a folder of images. Every clip becomes a y4m file first. Then, clip by clip and round by round, `run CLIP.y4m --threads 2 --emit rgb`
-takes it to a y4m file at each quality in turn. A clip's time is the median over rounds of the wall clock of the whole program. PSNR is the mean over all frames, at the source's own
-size, between the 8-bit samples of the images (written as PNG by one more run) and of the frames. Printed are the medians over clips of frames a second, the least and the most, and the
-mean over clips of PSNR.
+CLIPS is a folder of clips, each a folder of images. Every clip becomes a y4m file first. Then, clip by clip and round by round, `run CLIP.y4m --threads 2
+--emit rgb` takes it to a y4m file at each quality in turn. A clip's time is the median over rounds of the wall clock of the whole program. PSNR is the mean
+over all frames, at the source's own size, between the 8-bit samples of the images (written as PNG by one more run) and of the frames. The output has the
+median, least and most frames per second over clips, and the mean PSNR over clips.
 """
 
 import argparse

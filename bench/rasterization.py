@@ -1,8 +1,8 @@
-"""streamsplat_cpu.rasterization beside gsplat's PyTorch formulas: rasterization.py GSPLAT-FOLDER [ROUNDS] [GAUSSIANS]
+"""streamsplat_cpu.rasterization against gsplat's PyTorch formulas: rasterization.py GSPLAT-FOLDER [ROUNDS] [GAUSSIANS]
 
 100,000 Gaussians with the statistics of trained scenes (fixtures/src/trained.rs, stated in pixels of this image) at 640×360, RGB, two threads. gsplat's
-`_rasterization` runs as it is (tests/outside/rasterization/formulas.py); the indices that it takes from CUDA are found once and not counted. Runs alternate;
-figures are medians of all rounds. Then the memory that further Gaussians and pixels take, of this rasteriser alone.
+`_rasterization` runs unchanged (tests/outside/rasterization/formulas.py); the indices that it takes from CUDA are computed once and not timed. Runs alternate;
+figures are medians of all rounds. Then follows the memory per further Gaussian and pixel, of this rasteriser alone.
 
 The environment is that of tests/outside/rasterization/run.
 """
@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 os.environ.setdefault('RAYON_NUM_THREADS', '2')
-# PyTorch's idle threads otherwise spin on the cores that others need.
+# Otherwise PyTorch's idle threads spin on the cores that others need.
 os.environ.setdefault('OMP_WAIT_POLICY', 'passive')
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'tests/outside/rasterization'))
 

@@ -1,6 +1,6 @@
 """The rasteriser of `model/train` compared with the one before it: python3 bench/training.py [ROUNDS]
 
-The one before, rasteriser.cpp (axis-aligned splats alone, compiled with -ffast-math), is in this repository's history, at commit COMMIT. Both draw the
+The previous one, rasteriser.cpp (only axis-aligned splats, compiled with -ffast-math), is in this repository's history, at commit COMMIT. Both draw the
 same splats and differentiate the same loss, in turn; the medians of ROUNDS rounds (7 by default) and their ratio are printed. Images and gradients are
 compared first. Needs PyTorch, streamsplat_cpu and g++.
 """
@@ -20,7 +20,7 @@ import torch
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 COMMIT = '9fb3fd1^'
-# Images, height, width, splats of an image: a batch of the static stage, one of frames at half the size, pairs of the dynamic stage.
+# Images, height, width, splats per image: a batch of the static stage, one of frames at half the size, pairs of the dynamic stage.
 SCENES = [(24, 72, 128, 4608), (8, 144, 256, 18432), (4, 144, 256, 73728)]
 
 
@@ -36,7 +36,7 @@ def before(folder):
 
 
 def scene(images, height, width, count, seed=0):
-    """Splats as the network makes them: a grid of patches, footprints of about a pixel, opacities of all sizes."""
+    """Splats like the network's: a grid of patches, footprints of about a pixel, opacities of all sizes."""
     random = torch.Generator().manual_seed(seed)
     uniform = lambda *shape: torch.rand(*shape, generator=random)
     pitch = math.sqrt(height * width / count)

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # Package: pycolmap 4.2.1 (PyPI), on a valid model in COLMAP 4's text form: cameras, rigs, frames, images.
-# Behaviour: the pose in images.txt is not looked at where rigs.txt and frames.txt hold something. An image whose line says another pose than its rig and frame is
-#   read without a word, and `cam_from_world()` is the composed one; with empty rigs.txt and frames.txt the same line decides.
+# Behaviour: the pose in images.txt is ignored where rigs.txt and frames.txt are not empty. An image whose line has another pose than its rig and frame is read
+#   without a message, and `cam_from_world()` is the composed pose; with empty rigs.txt and frames.txt the line counts.
 # Guess beforehand: an error or a warning that names the image, or the image's own pose, as in every version before 3.12.
 # Output seen:
 #   with rigs and frames: 3.0
 #   without: 9.0
-# Consequence: a tool that moves cameras by editing images.txt alone moves nothing. It has to edit frames.txt, or to empty both files.
+# Consequence: a tool that moves cameras by editing only images.txt moves nothing. It must edit frames.txt, or empty both files.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -2,9 +2,9 @@
 # ffmpeg 9: the GIF demuxer's `min_delay` has no effect.
 #
 # Version: ffmpeg 9.0.2 of PyPI's imageio-ffmpeg 0.8.1. Debian 12's 5.1.9 applies it.
-# Behaviour: `ffmpeg -h demuxer=gif` lists min_delay (2 hundredths of a second by default) and default_delay (10): a frame with a shorter delay is shown
-#   for default_delay, as browsers do. Version 9 lists both options with the same defaults and returns the delays as they are in the file, also with
-#   `-min_delay 5 -default_delay 20`.
+# Behaviour: `ffmpeg -h demuxer=gif` lists min_delay (2 hundredths of a second by default) and default_delay (10): a frame with a shorter delay is shown for
+#   default_delay, as browsers do. Version 9 lists both options with the same defaults and returns the file's delays unchanged, also with `-min_delay 5
+#   -default_delay 20`.
 # Guess beforehand: four frames with delays of 1/100 s at 0, 0.1, 0.2 and 0.3 s, as with 5.1.
 # Output seen:
 #   listed: 2 and 10; times 0 0.01 0.02 0.03; with -min_delay 5 -default_delay 20: 0 0.01 0.02 0.03

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
-# ffmpeg 9: frames that a filter has numbered anew at an even rate are still repeated to fill the time they had before.
+# ffmpeg 9: frames that a filter has renumbered at a constant rate are still repeated to fill their former time.
 #
 # Version: ffmpeg 9.0.2 of PyPI's imageio-ffmpeg 0.8.1. Debian 12's 5.1.9 writes each frame once.
-# Behaviour: a video pauses for 2.7 s after its tenth frame. `-vf settb=1/25,setpts=N -r 25` gives every frame a time stamp of its own number at
-#   the rate of the output, which should leave a constant rate nothing to repeat. But setpts changes time stamps alone. The frame before the pause
-#   keeps its duration of 2.7 s, and since frames carry durations the step to a constant rate uses them: the frame is written again and again.
+# Behaviour: a video pauses for 2.7 s after its tenth frame. `-vf settb=1/25,setpts=N -r 25` sets every frame's time stamp to its number at the output's rate,
+#   so a constant rate should have nothing to repeat. But setpts changes only time stamps. The frame before the pause keeps its duration of 2.7 s. The conversion
+#   to a constant rate uses the frames' durations, so the frame is written repeatedly.
 # Guess beforehand: 20 frames in, 20 frames out, as with 5.1.
-# Seen: 20 frames with `-fps_mode passthrough`; with setpts=N and -r 25 more than 60. The cure is `-fps_mode passthrough`, which repeats and drops
-#   nothing in either version.
+# Seen: 20 frames with `-fps_mode passthrough`; with setpts=N and -r 25 more than 60. The remedy is `-fps_mode passthrough`, which repeats and drops nothing in
+#   either version.
 set -euo pipefail
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

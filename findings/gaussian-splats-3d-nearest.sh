@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
 # Package: @mkkellogg/gaussian-splats-3d 0.4.7 (npm, with three 0.187.0), in Chromium, on a valid PLY file of 100 white Gaussians on a grid.
-# Behaviour: the Gaussian nearest to the camera is not drawn, unless it is the last of the file: of 100 dots that the camera sees squarely there are 99 where
-#   depths grow with the place in the file, and the missing one is the first; where they fall there are 100. The viewer's count of splats is 100 both times.
-# Guess beforehand: 100 dots in both, as the order of the file says nothing.
+# Behaviour: the Gaussian nearest to the camera is not drawn, unless it is the last of the file. Of 100 dots facing the camera, 99 are drawn where depths grow
+#   with the position in the file, and the first is missing. Where depths fall, 100 are drawn. The viewer's count of splats is 100 both times.
+# Guess beforehand: 100 dots in both, as the order of the file has no meaning.
 #
 # Output of 2026-11-27:
 #   nearest first in the file: 99 of 100 dots
 #   nearest last in the file: 100 of 100 dots
 #
-# Needs node, npm and a Chromium at $CHROMIUM (/usr/bin/chromium, as Debian's package has it). Fails where the behaviour is another.
+# Needs node, npm and a Chromium at $CHROMIUM (/usr/bin/chromium, as Debian's package has it). Fails where the behaviour differs.
 set -euo pipefail
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

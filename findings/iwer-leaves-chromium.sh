@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Package: iwer 2.5.0 (npm), the emulator of WebXR headsets, in desktop Chromium (its page from 127.0.0.1, a secure context).
-# Behaviour: `new XRDevice(metaQuest3).installRuntime()` installs nothing there, as Chromium always has a `navigator.xr` of its own, which knows no headset. Nothing is
-#   thrown; a warning goes to the console. `isSessionSupported("immersive-vr")` stays false, and a test of a page without headsets looks as if the page were at fault.
-#   With `installRuntime({ forceInstall: true })` it is true.
+# Behaviour: `new XRDevice(metaQuest3).installRuntime()` installs nothing there, as Chromium always has a `navigator.xr` of its own, without a headset. Nothing
+#   is thrown; a warning is printed on the console. `isSessionSupported("immersive-vr")` stays false, and a test looks as if the page were at fault. With
+#   `installRuntime({ forceInstall: true })` it is true.
 # Guess beforehand: true in both; the package is for desktops without a headset.
 #
 # Output of 2026-11-28 (Chromium 156):
@@ -10,7 +10,7 @@
 #   installRuntime({ forceInstall: true }): immersive-vr true, 0 warnings
 #
 # Consequence: tests/outside/player/test.mjs forces it.
-# Needs node, npm and a Chromium at $CHROMIUM (/usr/bin/chromium, as Debian's package has it). Fails where the behaviour is another.
+# Needs node, npm and a Chromium at $CHROMIUM (/usr/bin/chromium, as Debian's package has it). Fails where the behaviour differs.
 set -euo pipefail
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT

@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # Package: @mkkellogg/gaussian-splats-3d 0.4.7 with three 0.169.0 (npm), on a valid PLY file of degree 3 in the layout of 3D Gaussian splatting.
-# Behaviour: asked to load it with harmonics of degree 3, `PlyLoader.loadFromFileData` makes a buffer (the content of a .ksplat file) of degree 2. The third band, 21
-#   of 45 coefficients, is gone without a word. The library's own table of coefficients has an entry for degree 3.
+# Behaviour: `PlyLoader.loadFromFileData`, requested to load harmonics of degree 3, makes a buffer (the content of a .ksplat file) of degree 2. The third band,
+#   21 of 45 coefficients, is lost without a message. The library's own table of coefficients has an entry for degree 3.
 # Guess beforehand: degree 3, or an error.
 # Output seen:
 #   asked for 0 1 2 3, stored 0 1 2 2
-# Consequence: a .ksplat file is no copy of a trained scene, at compression level 0 either; convert from the PLY file.
+# Consequence: a .ksplat file is not a copy of a trained scene, even at compression level 0; convert from the PLY file.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
-# Package: litesplat 0.1.1 (PyPI) with keras 3.15.1, NumPy as its backend (which wants JAX), on a valid scene of one Gaussian.
-# Behaviour: a Gaussian's rotation is multiplied with the camera's element by element, not as a matrix. A needle that is turned by 90° about the line of
-#   sight shrinks to a point, since only the diagonal of its rotation is left, and one turned by 45° is drawn upright, too short and too thin.
-# Guess beforehand: the needle turned by 90° covers as many pixels as before, along the other axis.
+# Package: litesplat 0.1.1 (PyPI) with keras 3.15.1, NumPy as its backend (which requires JAX), on a valid scene of one Gaussian.
+# Behaviour: a Gaussian's rotation is multiplied with the camera's element by element, not as a matrix. A needle rotated by 90° about the line of sight shrinks
+#   to a point, since only the diagonal of its rotation remains. One rotated by 45° is drawn upright, too short and too thin.
+# Guess beforehand: the needle rotated by 90° covers as many pixels as before, along the other axis.
 # Output seen:
 #   0 degrees: 17 columns, 5 rows
 #   45 degrees: 11 columns, 3 rows
 #   90 degrees: 1 columns, 1 rows
-# Consequence: images of litesplat are a reference for Gaussians that are not turned, seen by cameras that are not turned, alone.
+# Consequence: images of litesplat are a reference only for Gaussians and cameras without rotation.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

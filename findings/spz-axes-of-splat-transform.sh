@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # Package: @playcanvas/splat-transform 3.7.0 and @adobe/spz 0.2.3 (npm), on a valid PLY file of one Gaussian at (1, 2, 3) in PLY's axes (x right, y down, z forward).
-# Behaviour: splat-transform writes SPZ with PLY's numbers as they are and does not state their axes in the file. By SPZ's description, numbers without a
-#   statement are right, up, back. So the reference implementation, with PLY's axes as the target, returns the Gaussian half a turn about x away; splat-transform itself returns it where it was.
-# Guess beforehand: the numbers turned when they are written, or record 0xADBE0003, which states them, in the file.
+# Behaviour: splat-transform writes SPZ with PLY's numbers unchanged and does not state their axes in the file. By SPZ's description, numbers without a
+#   statement are right, up, back. So the reference implementation, with PLY's axes as the target, returns the Gaussian rotated by half a turn about x;
+#   splat-transform itself returns it at its place.
+# Guess beforehand: the numbers rotated on writing, or record 0xADBE0003, which states their axes, in the file.
 # Output seen:
 #   version 3, by @adobe/spz: 1 -2 -3; by splat-transform: 1 2 3
 #   version 4, by @adobe/spz: 1 -2 -3; by splat-transform: 1 2 3
-# Consequence: an SPZ file without the record does not contain which of the two it is. The writer has to be known.
+# Consequence: an SPZ file without the record does not state which of the two axes it has. The writer must be known.
 set -euo pipefail
 tools=$(cd "$(dirname "$0")" && pwd)/tools
 folder=$(mktemp -d)

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Package: @adobe/spz 0.2.3 (npm, the reference implementation of SPZ as WebAssembly) and @playcanvas/splat-transform 3.7.0, which writes with it, on valid Gaussians.
-# Behaviour: positions have 24 bits, 12 of them after the point, for scenes of every size. A coordinate beyond 2048 is neither clamped nor refused: its upper bits
-#   are cut off, so it comes back 4096 units, or a multiple of that, from its place. splat-transform does the same without a warning, with exit code 0.
+# Behaviour: positions have 24 bits, 12 of them after the point, for scenes of every size. A coordinate beyond 2048 is neither clamped nor refused. Its upper
+#   bits are cut off, so it is read back off by 4096 units or a multiple of that. splat-transform does the same without a warning, with exit code 0.
 # Guess beforehand: an error, or the nearest end of the range, or fewer bits after the point.
 # Output seen:
 #   2047 -> 2047
@@ -9,7 +9,8 @@
 #   5000 -> 904
 #   431250.5 -> 1170.5
 #   splat-transform: 5000 -> 904
-# Consequence: a floater far away lands in the middle of the scene, and a scene in the coordinates of a map is folded over itself. Move such scenes, or take floaters out, before.
+# Consequence: a distant floater lands in the middle of the scene, and a scene in the coordinates of a map is folded over itself. Move the scene, or remove
+#   floaters, before writing.
 set -euo pipefail
 tools=$(cd "$(dirname "$0")" && pwd)/tools
 folder=$(mktemp -d)

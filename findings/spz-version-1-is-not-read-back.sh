@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Package: @adobe/spz 0.2.3 (npm, the reference implementation of SPZ as WebAssembly), on one valid cloud of four Gaussians, written in each version that it offers.
-# Behaviour: `saveSpzToBuffer` with `version: 1` writes positions in 24-bit fixed point, as in version 2, under the number 1. `loadSpzFromBuffer` takes the
-#   positions of version 1 for binary16, as that version defines them, and every attribute after them from the wrong bytes: a scene of other places and scales, NaN among them. No error either way.
-#   Its README calls versions 1 to 3 read-only; the option takes all three, and versions 2 and 3 are right.
-# Guess beforehand: the four places come back in every version, within a 4096th, or an error.
+# Behaviour: `saveSpzToBuffer` with `version: 1` writes positions in 24-bit fixed point, as in version 2, under the number 1. `loadSpzFromBuffer` reads the
+#   positions of version 1 as binary16, as that version defines them, and every attribute after them from the wrong bytes: a scene of other positions and
+#   scales, NaN among them. Neither reports an error. Its README calls versions 1 to 3 read-only; the option takes all three, and versions 2 and 3 are right.
+# Guess beforehand: the four positions are read back in every version, within a 4096th, or an error.
 # Output seen:
 #   version 1: 92 bytes inside gzip, first place 0.00048828125 0 0.0000019073486328125, finite: no
 #   version 2: 92 bytes inside gzip, first place 1 2 3, finite: yes

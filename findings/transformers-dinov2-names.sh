@@ -8,12 +8,12 @@
 #   in memory: encoder.layer.0.attention.q_proj.weight
 #   in the file: encoder.layer.0.attention.attention.query.weight
 #   strict: missing 8; strict=False: missing 8, attention still as it was: True; from_pretrained: equal True
-# Consequence: a reader of DINOv2's weights has to take both sets of names; a tool that loads a published file into the module has to go through `from_pretrained`.
+# Consequence: a reader of DINOv2's weights must accept both sets of names; a tool that loads a published file into the module must use `from_pretrained`.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 if [ -z "${PYTHON:-}" ]; then
-  # Some 6 GB, most of it what PyTorch's wheel wants of CUDA. PYTHON=… names an interpreter that has both packages already.
+  # About 6 GB, mostly CUDA packages that PyTorch's wheel requires. PYTHON=… names an interpreter that already has both packages.
   python3 -m venv "$folder/venv"
   "$folder/venv/bin/pip" install --quiet --disable-pip-version-check torch==2.15.0 transformers==5.24.0 numpy==2.4.6
   PYTHON=$folder/venv/bin/python

@@ -1,14 +1,15 @@
 #!/usr/bin/env bash
-# Package: zip 9.8.1 (crates.io), on an archive of the form that torch.save of PyTorch 2.15 writes: stored entries, then the records of 64 bits, which no field of the end
-#   record asks for.
-# Behaviour: `ZipArchive::new` fails where the first entry's name has 30 bytes (`data.pkl` in a folder named by 21 characters, after the file). The crate expects the directory right
-#   before the end record, 76 bytes (the two records of 64 bits) after where it begins. With a name of 30 bytes the second entry begins there, and is taken for the first; with
-#   any other length no entry does, and the place that the end record names is used. `with_config` and `ArchiveOffset::Known(0)` reads both; so do Python's zipfile and PyTorch.
-# Guess beforehand: the length of a name decides nothing.
+# Package: zip 9.8.1 (crates.io), on an archive of the form that torch.save of PyTorch 2.15 writes: stored entries, then the records of 64 bits, which no field
+#   of the end record requires.
+# Behaviour: `ZipArchive::new` fails where the first entry's name has 30 bytes (`data.pkl` in a folder named by 21 characters, after the file). The crate
+#   expects the directory right before the end record, 76 bytes (the two records of 64 bits) after its true start. With a name of 30 bytes the second entry begins
+#   there and is taken for the first. With any other length no entry begins there, and the offset in the end record is used. `with_config` with
+#   `ArchiveOffset::Known(0)` reads both, and so do Python's zipfile and PyTorch.
+# Guess beforehand: the length of a name does not matter.
 # Output seen:
 #   name of 29 bytes: zip reads 2 files, with Known(0) 2, Python 2
 #   name of 30 bytes: zip reads invalid Zip archive: Invalid Central Directory header, with Known(0) 2, Python 2
-# Consequence: a reader of PyTorch's files by this crate has to pass the archive's offset.
+# Consequence: a reader of PyTorch's files by this crate must pass the archive's offset.
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT

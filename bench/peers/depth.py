@@ -3,9 +3,8 @@
 `python3 bench/peers/depth.py` builds the release program, writes the weights as a DINOv2 file and as ONNX graphs, checks that the patch
 tokens agree, then times all runners in turn, round after round, and writes bench/record/depth-DATE-CPU.json.
 
-`python3 bench/peers/depth.py --write FOLDER` only writes what a run of the paper's size takes, with seeded weights: model.safetensors (the
-official layout), dinov2.safetensors (ViT-B/14 with registers) and depth.onnx (a ViT-S for frames of 924×518, with one layer on top
-that makes a map of its tokens).
+`python3 bench/peers/depth.py --write FOLDER` only writes the inputs of a run at the paper's size, with seeded weights: model.safetensors (the official layout),
+dinov2.safetensors (ViT-B/14 with registers) and depth.onnx (a ViT-S for frames of 924×518, with one layer on top that turns its tokens into a map).
 """
 import argparse
 import datetime
@@ -25,7 +24,7 @@ ENVIRONMENT = ROOT / 'target' / 'outside' / 'python-depth-peers'
 PACKAGES = ['numpy==2.4.6', 'safetensors==0.8.0', 'onnx==1.23.2', 'onnxruntime==1.31.1', 'pillow==13.0.0']
 # Width and blocks; heads have 64 channels, the hidden layers four times the width.
 MODELS = {'vit-s': (384, 12), 'vit-b': (768, 12)}
-# Largest relative L2 distance of two runners that still counts as the same function.
+# Largest relative L2 distance of two runners that count as the same function.
 TOLERANCE = 1e-4
 
 
@@ -185,7 +184,7 @@ class Ours:
         return load_file(folder / 'ours.safetensors')['out']
 
     def processor_time(self):
-        """Of the server so far, all its threads, in steps of 10 ms."""
+        """Processor time of the server so far, of all its threads, in steps of 10 ms."""
         fields = Path(f'/proc/{self.server.pid}/stat').read_text().rsplit(')', 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 

@@ -1,8 +1,7 @@
 """Encoder, upsampler and decoder: ours against PyTorch, ONNX Runtime and OpenVINO, on the same weights, in one run.
 
-`python3 bench/peers/peers.py` makes its own environment (bench/peers/.venv, pinned in requirements.txt), builds the release
-program, writes seeded weights, checks every runner's output against PyTorch in float64, then times all of them in turn,
-round after round, and writes bench/record/peers-DATE-CPU.json.
+`python3 bench/peers/peers.py` creates its own environment (bench/peers/.venv, pinned in requirements.txt), builds the release program, writes seeded weights
+and checks every runner's output against PyTorch in float64. Then it times all runners in turn, round after round, and writes bench/record/peers-DATE-CPU.json.
 """
 import argparse
 import datetime
@@ -19,7 +18,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 STAGES = ('encoder', 'upsampler', 'decoder')
 PRECISIONS = ('f32', 'bf16', 'int8')
-# The largest relative L2 distance from float64 that still counts as the same function.
+# The largest relative L2 distance from float64 at which outputs count as the same function.
 TOLERANCE = {'f32': 1e-4, 'bf16': 0.1, 'int8': 0.5}
 CONFIGS = {
     'paper': dict(hidden_dim=768, encoder_layers=10, decoder_layers=10, resolution=[288, 512], patch_size=8, upsampler_window=2304, use_dino=True),
@@ -28,7 +27,7 @@ CONFIGS = {
 
 
 def enter_environment():
-    """Runs again inside the pinned environment."""
+    """Restarts the script inside the pinned environment."""
     python = HERE / '.venv' / 'bin' / 'python'
     wanted = (HERE / 'requirements.txt').read_text()
     stamp = HERE / '.venv' / 'requirements.installed'
@@ -53,7 +52,7 @@ def arguments():
 
 
 def write_model(config, path):
-    """Seeded weights in the official layout, and the configuration beside them."""
+    """Writes seeded weights in the official layout, with the configuration next to them."""
     sys.path.insert(0, str(ROOT / 'fixtures' / 'parity'))
     from make_weights import fill
     from safetensors.numpy import save_file

@@ -1,4 +1,4 @@
-"""One runner per runtime and precision: prepares a stage once, then runs it as often as asked."""
+"""One runner per runtime and precision: prepares a stage once, then runs it repeatedly."""
 import json
 import subprocess
 import tempfile
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Unavailable(Exception):
-    """The runtime has no such mode for this stage, or cannot run it on this machine."""
+    """The runtime lacks this mode for the stage, or cannot run it on this machine."""
 
 
 class Torch:
@@ -41,7 +41,7 @@ class OnnxRuntime:
         if precision == 'int8':
             import onnx
             from onnxruntime.quantization import QuantType, quantize_dynamic
-            # The exporter leaves shapes of weights as they were before it transposed them; the quantizer infers them anew.
+            # The exporter keeps the shapes that weights had before it transposed them; the quantizer infers shapes again.
             graph = onnx.load(path)
             del graph.graph.value_info[:]
             path = folder / f'{stage}-whole.onnx'
@@ -118,7 +118,7 @@ class Ours:
 
 
 def seconds(runner):
-    """Seconds of one run, by the clock and of the processor on all threads; ours are taken inside its process, so that no pipe is timed."""
+    """Seconds of one run, by the clock and of the processor on all threads. Our runner measures inside its process, so that the pipe is not timed."""
     if isinstance(runner, Ours):
         return runner.seconds()
     start = time.perf_counter(), time.process_time()

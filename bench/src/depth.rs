@@ -1,5 +1,5 @@
-//! `depth`: how scenes of cards look from cameras led around them, without depth, with their true depth, and with depth
-//! found by parallax; and how depth found in clips compares with a sensor's.
+//! `depth`: quality of scenes of cards from cameras turned around them, without depth, with true depth, and with depth
+//! found by parallax; and depth found in clips against a sensor's.
 
 mod registration;
 mod sensor;
@@ -32,11 +32,11 @@ pub(crate) struct Options {
     /// Degrees by which views are turned to both sides.
     #[arg(long, default_value_t = 10.0)]
     degrees: f64,
-    /// Let surfaces lean: distances change over each.
+    /// Let surfaces lean: the distance changes over each.
     #[arg(long, conflicts_with = "travel")]
     leaning: bool,
-    /// Pixels, of a picture 256 wide, that the camera moves sideways before the nearest things until the views are
-    /// taken; depth is then also found by parallax.
+    /// Sideways travel of the camera until the views are taken, in pixels of the nearest objects in a picture 256 wide.
+    /// Depth is then also found by parallax.
     #[arg(long, default_value_t = 0.0)]
     travel: f64,
     /// Key frames on the way.
@@ -52,7 +52,7 @@ pub(crate) struct Options {
     /// Frames from one key frame of these clips to the next.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=64))]
     gap: u32,
-    /// Folders of images that textures are taken from; painted textures otherwise.
+    /// Folders of images for textures; painted textures otherwise.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     textures: Vec<PathBuf>,
     /// Write the pictures of each scene into this folder.

@@ -21,7 +21,7 @@ pub(crate) struct Options {
     /// Clips: folders of images or videos.
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
-    /// Heights and widths at which the model sees them.
+    /// Heights and widths of the model's input.
     #[arg(long, value_delimiter = ',', default_value = "192x344,144x256,96x168")]
     resolutions: Vec<Resolution>,
     /// Input frames of each clip.
@@ -79,7 +79,7 @@ fn clip(options: &Options, path: &Path, resolution: Resolution) -> Result<Row> {
         if index % gap > 0 {
             continue;
         }
-        // The first key frame is scored in the interval that ends with the second one, and was pushed before.
+        // The first key frame is scored in the interval that ends with the second, and was pushed before.
         let new = waiting.iter().skip(usize::from(index == gap));
         let mut frames: Vec<(Frame, f64)> = new.map(|(picture, time)| (frame(picture), *time)).collect();
         let (last, time) = frames.pop().context("no frame")?;

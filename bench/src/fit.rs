@@ -1,5 +1,5 @@
-//! `fit`: optical flow between two frames of 512×288, and the map from colours to an image that a fit of colours steps
-//! on.
+//! `fit`: optical flow between two frames of 512×288, and the steps of a fit of colours: the map from colours to an
+//! image.
 
 use anyhow::{Result, ensure};
 use clap::Args;

@@ -2,8 +2,8 @@
 //! machine's load.
 //!
 //! The program runs itself under valgrind, once per precision, with a small network of seeded weights on one thread.
-//! Callgrind's counts of the calls of [`counted`] are used; each stage has a function of its own there. Valgrind does
-//! not support AVX-512, so x86-64 is counted at AVX2.
+//! Callgrind's counts are those of the functions in [`counted`], one per stage. Valgrind does not support AVX-512, so
+//! x86-64 is counted at AVX2.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -23,15 +23,15 @@ const TABLE: Table<'_> = Table(&[
     Column::Number("recorded", 9),
 ]);
 const PRECISIONS: [Precision; 3] = [Precision::F32, Precision::Bf16, Precision::Int8];
-/// How much more may be counted than was recorded.
+/// Largest allowed increase over the recorded count.
 const LIMIT: f64 = 0.03;
-/// The same where another compiler was used, or other settings.
+/// Largest allowed increase where the compiler or its settings differ.
 const LIMIT_OF_OTHERS: f64 = 0.10;
 
 /// Counted instructions.
 #[derive(Serialize, Deserialize)]
 struct Counts {
-    /// The compiler, and what of the release profile was set otherwise.
+    /// The compiler, and changed settings of the release profile.
     built: String,
     isa: String,
     stages: Vec<Count>,
@@ -162,7 +162,7 @@ struct Scratch(PathBuf);
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        // Left behind at worst.
+        // At worst the folder remains.
         let _ = std::fs::remove_dir_all(&self.0);
     }
 }

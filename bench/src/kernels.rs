@@ -82,7 +82,7 @@ struct Results {
     kernels: Vec<KernelTiming>,
 }
 
-/// One kernel at one size, checked already.
+/// One kernel at one size, already checked.
 struct Case {
     kernel: String,
     model: &'static str,
@@ -210,7 +210,7 @@ fn zeros(len: usize) -> Aligned<f32> {
     Aligned::zeroed(len)
 }
 
-/// [`noise`] as the model holds its matrices.
+/// [`noise`] in aligned memory, as the model's matrices.
 fn aligned_noise(len: usize, seed: u32) -> Aligned<f32> {
     let mut values = zeros(len);
     values.copy_from_slice(&noise(len, seed));
@@ -258,7 +258,7 @@ fn attention(
     window: Option<usize>,
 ) -> Result<Case> {
     let d = heads * 64;
-    // As the model holds them: heads one after the other.
+    // As in the model: heads follow one another.
     let (q, k, v) = (aligned_noise(queries * d, 1), aligned_noise(keys * d, 2), aligned_noise(keys * d, 3));
     let windows = window.map_or(Windows::Full, |length| Windows::Runs { length, roll: 0 });
     let shape = Shape { heads, width: 64, windows };

@@ -1,4 +1,5 @@
-//! An allocator that counts: what this process holds on the heap, without what the system's allocator keeps for later.
+//! A counting allocator: bytes that this process holds on the heap, without those that the system's allocator keeps for
+//! later.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -20,7 +21,7 @@ fn taken(bytes: usize) {
     HELD.fetch_sub(bytes, Relaxed);
 }
 
-// SAFETY: every call goes to the system's allocator as it is.
+// SAFETY: every call goes to the system's allocator unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         given(layout.size());
@@ -48,7 +49,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Begins to look for the most anew.
+/// Restarts the search for the maximum.
 pub(crate) fn restart() {
     MOST.store(HELD.load(Relaxed), Relaxed);
 }
@@ -66,11 +67,11 @@ mod tests {
     fn what_is_held_counts_once_and_what_is_given_back_does_not() {
         restart();
         let before = most();
-        // Zeros that are never touched take no memory, and the concurrent tests far less.
+        // Untouched zeros take no memory, and the concurrent tests take far less than this.
         let mut held = std::hint::black_box(vec![0u8; 512 << 20]);
         held.reserve_exact(512 << 20);
         drop(std::hint::black_box(held));
-        // While it grows, the old and the new one count.
+        // While the memory grows, the old and the new block count.
         let grown = most() - before;
         assert!((1 << 30..7 << 28).contains(&grown), "{grown}");
         restart();

@@ -25,8 +25,8 @@ pub(crate) struct Peak {
 }
 
 impl Machine {
-    /// This machine with the threads of the current pool. `seen` is a peak measured on the way: clocks move, the best
-    /// counts.
+    /// This machine with the threads of the current pool. `seen` is a peak measured during the run: clock rates change,
+    /// and the best counts.
     pub(crate) fn new(level: Level, seen: (Precision, f64)) -> Machine {
         let best = |precision| {
             let start = if seen.0 == precision { seen.1 } else { 0.0 };

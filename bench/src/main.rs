@@ -51,7 +51,7 @@ struct Program {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Views of scenes of cards from cameras led around them, with and without true depth.
+    /// Views of scenes of cards from cameras turned around them, with and without true depth.
     Depth(depth::Options),
     /// Images of the source's size compared with the enlarged model-size image, on a set of clips.
     Enlarging(enlarging::Options),

@@ -1,4 +1,4 @@
-//! Networks with everything that a new key frame reads, and their stages one by one.
+//! Networks with all inputs of a new key frame, and their stages one by one.
 
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ pub(crate) enum Which<'a> {
     Paper,
     /// A small network with weights from a seed.
     Seeded,
-    /// A checkpoint, with DINOv2's weights where it is conditioned on them.
+    /// A checkpoint, with DINOv2's weights where it is conditioned on DINOv2.
     File { checkpoint: &'a Path, dinov2: Option<&'a Path> },
 }
 
@@ -52,8 +52,8 @@ fn seeded_network() -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Times from a model's files, in the system's cache, to the tokens of a first frame, `repeat` of them. Nothing for
-/// models in memory.
+/// `repeat` times from a model's files, in the system's cache, to the tokens of a first frame. Empty for models in
+/// memory.
 pub(crate) fn loading(which: Which<'_>, load: &LoadOptions, repeat: usize) -> Result<Vec<Spent>> {
     let time = |checkpoint: &Path, dinov2: Option<&Path>| -> Result<Vec<Spent>> {
         let mut spent = Vec::new();
@@ -88,7 +88,7 @@ pub(crate) fn noise([height, width]: [usize; 2]) -> Result<[Vec<f32>; 2]> {
     Ok([image(1), image(2)])
 }
 
-/// A network with everything that a new key frame reads.
+/// A network with all inputs of a new key frame.
 pub(crate) struct Model {
     pub(crate) network: Network,
     pub(crate) dino: Option<Dino>,
@@ -125,7 +125,7 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        // Left behind at worst. Some have a configuration file.
+        // At worst the files remain. Some models have a configuration file.
         for path in [self.0.with_extension("json"), std::mem::take(&mut self.0)] {
             let _ = std::fs::remove_file(path);
         }
@@ -133,7 +133,7 @@ impl Drop for Temporary {
 }
 
 impl Model {
-    /// A model that has seen two frames, `frames` of its resolution, `[3, H, W]` each.
+    /// Loads a model that has processed two frames: `frames` of its resolution, `[3, H, W]` each.
     pub(crate) fn load(
         which: Which<'_>,
         load: &LoadOptions,
@@ -210,7 +210,7 @@ impl Model {
                 out
             }
             "raster" => self.draw(),
-            // All that one more key frame costs.
+            // All work of one more key frame.
             _ => {
                 let features = self.features(1)?;
                 let embedding = session.embed(&FrameInput { rgb: &self.rgb[1], depth: None })?;

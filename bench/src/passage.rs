@@ -1,5 +1,5 @@
-//! Ways through a clip: engines that differ in precision, reuse or gap and take the same frames in turn, key frame by
-//! key frame, so that what disturbs the machine disturbs all of them alike.
+//! Variants on a clip: engines that differ in precision, reuse or gap take the same frames in turn, key frame by key
+//! frame. So other load on the machine disturbs all of them equally.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -16,7 +16,7 @@ use streamsplat_model::Precision;
 
 use crate::timing::{Spent, Stopwatch};
 
-/// A way through a clip.
+/// A variant of the engine on a clip.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Variant {
     pub(crate) precision: Precision,
@@ -24,7 +24,7 @@ pub(crate) struct Variant {
     pub(crate) gap: Gap,
 }
 
-/// A gap as one writes it.
+/// A gap as written on the command line.
 pub(crate) fn gap_name(gap: Gap) -> String {
     if gap == Gap::Auto(Auto::default()) { "auto".to_owned() } else { gap.to_string() }
 }
@@ -59,7 +59,7 @@ pub(crate) struct Step {
     pub(crate) drawn: Spent,
 }
 
-/// One variant under way.
+/// One running variant.
 pub(crate) struct Runner {
     pub(crate) variant: Variant,
     pub(crate) engine: Engine,
@@ -83,7 +83,7 @@ impl Models {
         Models { settings, loaded: Vec::new() }
     }
 
-    /// An engine that has seen nothing.
+    /// A new engine.
     fn engine(&mut self, variant: &Variant) -> Result<Engine> {
         let settings = Settings { precision: Some(variant.precision), reuse: variant.reuse, ..self.settings.clone() };
         let key = (variant.precision, variant.reuse == Reuse::Off);
@@ -138,7 +138,7 @@ impl Runner {
         Ok(())
     }
 
-    /// Keeps, of every part of the work, the less that it and the same variant took.
+    /// Keeps for every part of the work the shorter time of this run and another of the same variant.
     pub(crate) fn quicken(&mut self, other: &Runner) {
         self.chosen = self.chosen.least(other.chosen);
         for (step, other) in self.steps.iter_mut().zip(&other.steps) {
@@ -159,7 +159,7 @@ impl Runner {
     }
 }
 
-/// The true frames of a clip as images are compared with them.
+/// The true frames of a clip in the form for comparisons with images.
 pub(crate) fn truths(clip: &[TimedPicture]) -> Vec<Picture> {
     clip.iter().map(|frame| frame.picture.resized(256, 256)).collect()
 }

@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 pub(crate) fn cpu_seconds() -> Result<f64> {
     let mut nanoseconds = 0u64;
     for task in std::fs::read_dir("/proc/self/task").context("CPU time is read from /proc/self/task")? {
-        // A thread may end while we look.
+        // A thread may end meanwhile.
         let Ok(text) = std::fs::read_to_string(task?.path().join("schedstat")) else { continue };
         let first = text.split_whitespace().next().context("/proc/self/task/…/schedstat is empty")?;
         nanoseconds += first.parse::<u64>().context("/proc/self/task/…/schedstat")?;

@@ -1,9 +1,9 @@
 //! `reuse`: cost and saving of skipped work on a set of clips.
 //!
 //! Every variant (a choice of reuse and of gap) takes the same frames through an engine of its own, in turn, key frame
-//! by key frame: what disturbs the machine disturbs all of them alike. Times are those of the processor where available
-//! (Linux), else of the clock. The former, too, move by some per cent with what else runs; `--rounds` takes the clips
-//! several times and keeps the least of every key frame, whose images must be the same bits each time.
+//! by key frame. So other load on the machine disturbs all of them equally. Times are processor times where available
+//! (Linux), otherwise by the clock. Processor times still vary by some per cent with other load. `--rounds` takes the
+//! clips several times and keeps the least time of every key frame, whose images must have the same bits each time.
 
 mod table;
 
@@ -61,12 +61,12 @@ pub(crate) struct Options {
     /// Write the tables here as Markdown.
     #[arg(long, value_name = "FILE")]
     markdown: Option<PathBuf>,
-    /// A sentence for the record: under which conditions this was run.
+    /// A sentence for the record on the conditions of the run.
     #[arg(long, value_name = "TEXT", default_value = "")]
     note: String,
 }
 
-/// Where and with what this was measured.
+/// Machine and settings of the measurement.
 #[derive(Serialize)]
 struct About {
     command: String,
@@ -97,13 +97,13 @@ struct VariantResult {
     frame: Spent,
     /// Time of key frames relative to the variant without reuse.
     cost: f64,
-    /// PSNR of all frames' images against those without reuse; none where all are equal.
+    /// PSNR of all frames' images against those without reuse; `None` where all are equal.
     psnr_vs_off: Option<f64>,
     /// PSNR of all frames, of key frames and of those between, against the true frames at 256×256.
     psnr: f64,
     psnr_key: f64,
     psnr_middle: Option<f64>,
-    /// PSNR of all frames against the true ones, above that of the variant without reuse.
+    /// PSNR of all frames against the true ones, minus that of the variant without reuse.
     gain: f64,
     /// Work, done and avoided: the network's stages, and their parts in tokens.
     work: Vec<(String, u64, u64)>,
@@ -216,7 +216,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 }
 
 impl Options {
-    /// The command that measures the same, but for the clips' place.
+    /// The command that repeats the measurement, except for the clips' path.
     fn command(&self) -> String {
         fn list<T: ToString>(values: &[T]) -> String {
             values.iter().map(T::to_string).collect::<Vec<_>>().join(",")

@@ -1,9 +1,9 @@
-//! Stages of the network on request, for comparisons that are driven from outside.
+//! Stages of the network on request, for comparisons controlled by another program.
 //!
-//! Reads one JSON object per line on standard input, `{"stage": "encoder|upsampler|decoder|dinov2"}`, runs that stage
-//! once on its input, and answers with `{"seconds": …, "processor": …}`, the latter of all threads. With `"write":
-//! FILE` the output goes there as the tensor `out`. Served is either a StreamSplat model or a DINOv2 file, whose only
-//! stage is `dinov2`: frame to patch tokens.
+//! Reads one JSON object per line on standard input, `{"stage": "encoder|upsampler|decoder|dinov2"}`. Runs that stage
+//! once on its input and answers with `{"seconds": …, "processor": …}`, the latter of all threads. With `"write": FILE`
+//! the output is written there as the tensor `out`. The model is either StreamSplat or a DINOv2 file, whose only stage
+//! is `dinov2`: frame to patch tokens.
 
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};

@@ -1,20 +1,20 @@
 //! A stream of thousands of key frames: bounded memory, no slowdown, no identity twice, no drift.
 //!
-//! The input is a procedural clip, forward and backward without end: it repeats itself every [`PERIOD`] key frames, so
-//! that what is compared saw the same pictures. The network is a small one of seeded weights. As in a run, motion and
-//! colours are taken from the frames between key frames as well.
+//! The input is a procedural clip, forward and backward without end. It repeats itself every [`PERIOD`] key frames, so
+//! that compared periods have the same pictures. The network is a small one of seeded weights. As in a run, motion and
+//! colours are also taken from the frames between key frames.
 //!
-//! Memory is measured in two ways, over whole periods: the first tenth of the stream is compared with the rest. *Live*
-//! bytes are those the process holds on the heap, the most at any moment: they depend on the program alone. *Resident*
-//! ones are those of the process in memory, after each step, the median of a period: to these the system's allocator
-//! adds what it keeps for later, now and then half a mebibyte more for some steps.
+//! Memory is measured in two ways, over whole periods; the first tenth of the stream is compared with the rest. *Live*
+//! bytes are those on the process's heap, as their maximum at any moment: they depend on the program alone. *Resident*
+//! bytes are those of the process in memory after each step, as the median of a period. They include memory that the
+//! system's allocator keeps for later, now and then half a mebibyte more for some steps.
 //!
-//! Time is the time that all threads of this process spent on a CPU. Because that, too, depends on the machine's load,
-//! the long stream is compared twice: its last hundred steps alone with its second hundred, by their lower quartiles;
-//! and the hundred after with the second hundred of a *young* stream, fed the same frames in turn, which other load
-//! disturbs alike. That figure has no limit: glibc returns the heap of one of the two threads to the system after every
-//! step, which one is chance, and that costs some per cent (0.90 to 1.05 were seen). Memory is measured until the young
-//! stream starts.
+//! Time is the time that all threads of this process spent on a CPU. As that also depends on the machine's load, the
+//! long stream is compared twice. First, its last hundred steps with its second hundred, by their lower quartiles.
+//! Second, the hundred after those with the second hundred of a *young* stream, which takes the same frames in turn, so
+//! that other load disturbs both equally. The second figure has no limit: glibc returns the heap of one of the two
+//! threads, by chance, to the system after every step, which costs some per cent (0.90 to 1.05 were measured). Memory
+//! is measured until the young stream starts.
 
 use std::path::PathBuf;
 
@@ -50,8 +50,8 @@ pub(crate) struct Options {
     /// Key frames: hundreds, at least 400.
     #[arg(long, default_value_t = 10_000)]
     key_frames: u64,
-    /// Frames between two key frames, from which motion and colours are taken as a run takes them; 0: the network's own
-    /// motion and colours.
+    /// Frames between two key frames, from which motion and colours are taken as in a run; 0: the network's own motion
+    /// and colours.
     #[arg(long, default_value_t = 3)]
     between: u64,
     /// Checkpoint [default: a small one of seeded weights].
@@ -63,10 +63,10 @@ pub(crate) struct Options {
     /// Threads (0: one per core).
     #[arg(long, default_value_t = 1)]
     threads: usize,
-    /// Most that resident memory may be after the first tenth of the key frames, relative to its value until then.
+    /// Limit of resident memory after the first tenth of the key frames, relative to its value until then.
     #[arg(long, default_value_t = 1.02)]
     resident: f64,
-    /// Most that the last hundred may take of the second hundred's time.
+    /// Limit of the last hundred's time, relative to the second hundred's.
     #[arg(long, default_value_t = 1.05)]
     slowdown: f64,
     /// Leaks this many bytes at every key frame: this must fail.
@@ -77,7 +77,7 @@ pub(crate) struct Options {
     json: Option<PathBuf>,
 }
 
-/// One thing that must hold.
+/// One condition that must hold.
 #[derive(Serialize)]
 struct Check {
     what: &'static str,
@@ -102,11 +102,11 @@ impl Check {
 #[derive(Serialize)]
 struct StreamState {
     key_frame: u64,
-    /// Most at any moment of the last period; none in the comparison with the young stream.
+    /// Most at any moment of the last period; `None` in the comparison with the young stream.
     live_bytes: Option<u64>,
     /// Median of the last period.
     resident_bytes: Option<u64>,
-    /// Lower quartile of the hundred key frames before; none after the first period.
+    /// Lower quartile of the hundred key frames before; `None` after the first period.
     cpu_seconds: Option<f64>,
     gaussians: usize,
     identities: u64,
@@ -121,7 +121,7 @@ struct Results {
     between: u64,
     model: String,
     checks: Vec<Check>,
-    /// Resident memory at any one moment after the first tenth, over its most until then.
+    /// Largest resident memory at any moment after the first tenth, relative to the largest until then.
     resident_peaks: f64,
     /// The hundred after / the second hundred of the young stream.
     beside_young: f64,
@@ -138,7 +138,7 @@ struct Film {
 impl Film {
     fn new([height, width]: [usize; 2], gap: u64) -> Film {
         let clip = Clip::new(ClipKind::StaticCamera, 1, width, height);
-        // To and fro in quick steps: a second of the clip in a period.
+        // Forward and backward in quick steps: a second of the clip in a period.
         let time = |i| 4.0 * i as f64 / (gap as f64 * RATE);
         let frame = |i| Frame { width, height, rgb: clip.picture(time(i)).rgb, depth: None };
         Film { frames: (0..=PERIOD / 2 * gap).map(frame).collect(), gap }
@@ -195,7 +195,7 @@ impl Measured {
     }
 }
 
-/// Bytes in periods: how those of the first tenth of a stream compare with the most of all that follow.
+/// Bytes in periods: those of the first tenth of a stream against the most of all later ones.
 struct Growth {
     /// Values of this period.
     seen: Vec<u64>,
@@ -235,8 +235,8 @@ impl Growth {
     }
 }
 
-/// How much longer the steps `a` took than the paired steps `b`, which ran first in every second pair: the geometric
-/// mean of the medians over either half.
+/// Ratio of the time of steps `a` to that of the paired steps `b`, which ran first in every second pair: the geometric
+/// mean of the medians over both halves.
 fn slower(a: &[f64], b: &[f64]) -> f64 {
     let half = |turn| {
         let ratios: Vec<f64> = a.iter().zip(b).skip(turn).step_by(2).map(|(a, b)| a / b).collect();
@@ -262,7 +262,7 @@ impl Identities {
         let back =
             |id: &&u64| self.newest.is_some_and(|newest| **id <= newest) && self.alive.binary_search(id).is_err();
         self.twice += now.iter().filter(back).count() as u64;
-        // The Gaussians of one frame never share one.
+        // The Gaussians of one frame never share an identity.
         let mut own: Vec<u64> = g.iter().filter(|r| r.frame == interval.index).map(|r| r.identity).collect();
         let count = own.len();
         own.sort_unstable();
@@ -331,7 +331,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             young = Some(Measured::new(Engine::with_model(settings.clone(), model.clone())?)?);
         }
         live::restart();
-        // In turn: the second one finds the caches warm.
+        // In turn, as the second one finds the caches warm.
         let mut interval = None;
         for turn in [k % 2 == 0, k % 2 == 1] {
             if turn {
@@ -353,7 +353,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             continue;
         }
         let [live_bytes, resident_bytes] = match young.is_some() {
-            // Not of the long stream alone.
+            // Memory is not that of the long stream alone.
             true => [None, None],
             false => [Some(live.end()[1]), Some(resident.end()[0])],
         };

@@ -1,8 +1,8 @@
 //! `stages`: one call of each stage of the network, and one new key frame as a whole.
 //!
-//! `small` is the checkpoint inside the library; `paper` has the published model's sizes and weights from a seed,
-//! written to a temporary file; loading it, from its files in the system's cache to the tokens of a first frame, is the
-//! first row. Before a stage is timed, its result is compared in bits with that of another number of threads.
+//! `small` is the checkpoint inside the library. `paper` has the published model's sizes and weights from a seed,
+//! written to a temporary file. Its first row is loading, from its files in the system's cache to the tokens of a first
+//! frame. Before a stage is timed, its result is compared in bits with that of another number of threads.
 
 use std::path::PathBuf;
 
@@ -28,7 +28,7 @@ pub(crate) struct Options {
     /// The model.
     #[arg(long, value_enum, default_value_t = Size::Small)]
     size: Size,
-    /// A checkpoint that is not conditioned on DINOv2, instead.
+    /// A checkpoint that is not conditioned on DINOv2, instead of these.
     #[arg(long, value_name = "FILE", conflicts_with = "size")]
     model: Option<PathBuf>,
     /// Only stages whose name contains this.
@@ -71,12 +71,12 @@ struct StageTiming {
     name: &'static str,
     size: &'static str,
     precision: &'static str,
-    /// Operations of a call in 10⁹; none for drawing, whose work depends on the scene.
+    /// Operations of a call in 10⁹; `None` for drawing, whose work depends on the scene.
     gflop: Option<f64>,
     seconds: Seconds,
     /// Time of the processor.
     processor: Seconds,
-    /// The same of a network that computes its zero-output branches, run in turn with the other.
+    /// Time of a network that computes its zero-output branches, run in turn with the other.
     processor_with_zero_output: Option<Seconds>,
     fraction_of_peak: Option<f64>,
 }
@@ -173,7 +173,7 @@ fn measure(
     peak: &mut f64,
 ) -> Result<()> {
     let parts = model.network.zero_output();
-    // The stage that is called an upsampler here is the static one.
+    // The stage named upsampler here is the static one.
     let part = |stage| if stage == "upsampler" { "static upsampler" } else { stage };
     let left_out = |stage| parts.iter().filter(|s| s.part == part(stage)).map(|s| s.gflop).sum::<f64>();
     let mut costs: Vec<(&'static str, Option<f64>)> = stages(model.network.config())

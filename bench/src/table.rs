@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-/// A column's head; on the terminal with its least width.
+/// A column's heading, with its least width on the terminal.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Column {
     /// Flush left.
@@ -24,7 +24,7 @@ impl Column {
 }
 
 impl Table<'_> {
-    /// The heads, as a line of the terminal.
+    /// The headings, as a line of the terminal.
     pub(crate) fn heads(&self) -> String {
         self.line(&self.0.iter().map(|column| column.head()).collect::<Vec<_>>())
     }
@@ -44,7 +44,7 @@ impl Table<'_> {
         line.trim_end().to_owned()
     }
 
-    /// All of it in Markdown.
+    /// The whole table in Markdown.
     pub(crate) fn markdown<R: AsRef<[String]>>(&self, rows: impl IntoIterator<Item = R>) -> String {
         let mut text = String::new();
         let mut line = |cells: &mut dyn Iterator<Item = &str>| {

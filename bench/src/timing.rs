@@ -28,7 +28,7 @@ impl Seconds {
     }
 }
 
-/// Time spent: of the processor, on all threads of this process, where available, and of the clock.
+/// Time spent: processor time of all threads of this process, where available, and time by the clock.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub(crate) struct Spent {
     processor: Option<f64>,
@@ -36,12 +36,12 @@ pub(crate) struct Spent {
 }
 
 impl Spent {
-    /// The processor's time, or else the clock's.
+    /// The processor's time, or the clock's if there is none.
     pub(crate) fn seconds(&self) -> f64 {
         self.processor.unwrap_or(self.clock)
     }
 
-    /// The smaller of two, each clock by itself.
+    /// The smaller of two, for each clock separately.
     pub(crate) fn least(self, other: Spent) -> Spent {
         let processor = self.processor.zip(other.processor).map(|(a, b)| a.min(b));
         Spent { processor, clock: self.clock.min(other.clock) }
@@ -61,7 +61,7 @@ impl Spent {
 impl std::ops::Add for Spent {
     type Output = Spent;
     fn add(self, other: Spent) -> Spent {
-        // With nothing measured yet, the other one's value is the sum.
+        // If nothing is measured yet, the sum is the other value.
         let processor = match (self.processor, other.processor) {
             (None, only) if self.clock == 0.0 => only,
             (a, b) => a.zip(b).map(|(a, b)| a + b),

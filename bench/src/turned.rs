@@ -30,7 +30,7 @@ pub(crate) struct Options {
     /// Key frames on the way.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(2..=64))]
     key_frames: u32,
-    /// Folders of images that textures are taken from; painted textures otherwise.
+    /// Folders of images for textures; painted textures otherwise.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     textures: Vec<PathBuf>,
     /// Write the pictures of each scene into this folder.
@@ -38,7 +38,8 @@ pub(crate) struct Options {
     pictures: Option<PathBuf>,
 }
 
-/// Pixels, of a picture 256 wide, that the camera moves what is nearest, or everything, between two key frames.
+/// Shift between two key frames, in pixels of a picture 256 wide: of the nearest objects when the camera moves
+/// sideways, of everything when it turns.
 const SIDEWAYS: f64 = 8.0;
 const TURNING: f64 = 6.0;
 /// Widths that a slow and a fast body move by themselves between two key frames.

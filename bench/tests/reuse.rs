@@ -1,5 +1,5 @@
-//! `streamsplat-bench reuse` on a small model and a few frames: its rows agree with what reuse promises, and its record
-//! with its rows.
+//! `streamsplat-bench reuse` on a small model and a few frames: its rows agree with the guarantees of reuse, and its
+//! record with its rows.
 
 use std::process::Command;
 

@@ -3,8 +3,8 @@
 use std::process::{Command, Output};
 
 fn soak(options: &[&str]) -> Output {
-    // A process this small keeps some pages more, and times are less certain during other tests; live memory is the
-    // same everywhere.
+    // Such a small process keeps some more pages, and times vary more during other tests; live memory is the same
+    // everywhere.
     Command::new(env!("CARGO_BIN_EXE_streamsplat-bench"))
         .args(["soak", "--resident", "1.1", "--slowdown", "1.25", "--key-frames"])
         .args(options)

@@ -1,4 +1,4 @@
-//! `streamsplat-bench tradeoff` on a small model and a few frames: its files are whole, agree with one another, and
+//! `streamsplat-bench tradeoff` on a small model and a few frames: its files are complete, agree with one another, and
 //! mark the front.
 
 use std::path::Path;
@@ -68,7 +68,7 @@ fn files_are_whole_and_exactly_what_nothing_dominates_is_marked() {
     for stage in stages {
         let error = number(stage, "relative_l2");
         assert!(if stage["precision"] == "f32" { error < 3e-6 } else { error > 1e-4 && error < 0.1 }, "{stage}");
-        // f32 alone is reported in its last places; every rounding may cost half of one.
+        // Only f32 is reported in units of the last place; every rounding may cost half of one.
         let ulp = stage["worst_ulp"].as_f64();
         assert!(
             if stage["precision"] == "f32" { ulp.is_some_and(|ulp| ulp > 0.5 && ulp < 1e4) } else { ulp.is_none() },

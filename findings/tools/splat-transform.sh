@@ -1,4 +1,4 @@
-# Sourced by findings on SPZ files, in an empty folder: installs the two packages, and writes one.mjs with what their scripts share.
+# Sourced by findings on SPZ files, in an empty folder: installs the two packages, and writes one.mjs with the code that their scripts share.
 echo '{"type": "module"}' >package.json
 npm install --silent --no-audit --no-fund @adobe/spz@0.2.3 @playcanvas/splat-transform@3.7.0 playcanvas@2.23.3 >/dev/null
 cat >one.mjs <<'END'

@@ -6,8 +6,9 @@
 //! cargo run --release -p streamsplat-kernels --example ulp -- --isa scalar        on a lower level
 //! ```
 //!
-//! A row per function: the largest error in units of the last place and where it is, how often a larger argument gave a
-//! smaller value (of functions that only grow), and a digest of all result bits: equal on every level and machine.
+//! A row per function: the largest error in units of the last place and where it is; for functions that only grow, how
+//! often a larger argument returned a smaller value; and a digest of all result bits. The digest is equal on every
+//! level and machine.
 
 use std::process::ExitCode;
 
@@ -22,7 +23,7 @@ struct Function {
     run: fn(Level, &[f32], &mut [f32]),
     exact: fn(f64) -> f64,
     ends: Ends,
-    /// Arguments it is defined for; others only enter the digest.
+    /// Arguments for which the function is defined; others only enter the digest.
     domain: fn(f32) -> bool,
     grows: bool,
 }

@@ -86,9 +86,9 @@ impl InstructionSet {
         }
     }
 
-    /// Returns true if the level's added instructions are slower on this CPU than those that they replace: on Intel's
-    /// cores (Emerald Rapids was measured) the dot product of bf16 takes as long as four fused multiply-adds, where two
-    /// do as much.
+    /// Returns true if the level's added instructions are slower on this CPU than those that they replace. On Intel's
+    /// cores (measured on Emerald Rapids) the dot product of bf16 takes as long as four fused multiply-adds, where two
+    /// do the same work.
     pub(crate) fn is_slow(self) -> bool {
         match self {
             #[cfg(target_arch = "x86_64")]

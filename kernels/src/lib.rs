@@ -1,10 +1,10 @@
 //! Arithmetic of StreamSplat on CPUs, independent of models.
 //!
-//! An operation is a folder: documentation with its formula and order of accumulation, a body that is generic over a
-//! vector of 16 lanes ([`simd`]), tests, and a plain reference where a formula in binary64 or scalar code is clearer
-//! than the body. Elementary functions ([`math`]) have scalar twins. Levels differ in [`simd`] alone, and in the sizes
-//! of register blocks. Everything keeps the *bit contract*: the output bits are the same on every [`Level`] and for any
-//! number of threads.
+//! An operation is a folder. It holds documentation with the formula and the order of accumulation, a body that is
+//! generic over a vector of 16 lanes ([`simd`]), and tests. It has a plain reference where a formula in binary64 or
+//! scalar code is clearer than the body. Elementary functions ([`math`]) have scalar twins. Levels differ only in
+//! [`simd`] and in the sizes of register blocks. Everything keeps the *bit contract*: the output bits are the same on
+//! every [`Level`] and for any number of threads.
 //!
 //! Operations run in [`tracing`] spans at the level `DEBUG`, named after the operation (those of `raster` after its
 //! passes). Without a subscriber, that is one comparison a call.

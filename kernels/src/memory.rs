@@ -29,7 +29,7 @@ impl<T: Pod> Aligned<T> {
     /// `len` zeros.
     ///
     /// # Panics
-    /// When there is no room for them.
+    /// When memory for them cannot be allocated.
     pub fn zeroed(len: usize) -> Self {
         let lines = bytemuck::allocation::zeroed_vec(lines_of::<T>(len));
         Self { lines, len, kind: std::marker::PhantomData }
@@ -38,7 +38,7 @@ impl<T: Pod> Aligned<T> {
     /// Makes room for `len` elements. Their content is unspecified (but initialised).
     ///
     /// # Panics
-    /// When there is no room for them.
+    /// When memory for them cannot be allocated.
     pub fn resize(&mut self, len: usize) {
         let lines = lines_of::<T>(len);
         if lines > self.lines.len() {
@@ -78,16 +78,16 @@ thread_local! {
     static KEPT: Cell<Vec<Aligned<f32>>> = const { Cell::new(Vec::new()) };
 }
 
-/// Scratch memory of this thread: reused from earlier calls, returned when dropped.
+/// Scratch memory of this thread: reused from earlier calls, given back to the thread when dropped.
 ///
-/// Calls may nest; each has its own. Its initial content is unspecified.
+/// Calls may nest; each has its own memory. The initial content is unspecified.
 pub struct Scratch(Aligned<f32>);
 
 impl Scratch {
     /// `len` values.
     ///
     /// # Panics
-    /// When there is no room for them.
+    /// When memory for them cannot be allocated.
     pub fn take(len: usize) -> Self {
         let bytes = product([len, size_of::<f32>()]);
         let mut kept = KEPT.take();

@@ -12,7 +12,7 @@ pub fn for_each_chunk<T: Send>(data: &mut [T], len: usize, work: impl Fn(usize, 
     data.par_chunks_mut(len.max(1)).enumerate().for_each(|(index, chunk)| work(index, chunk));
 }
 
-/// `work(i)` for `i` in `0..count`, results in index order.
+/// Calls `work(i)` for `i` in `0..count`; returns the results in index order.
 pub fn map_indexed<R: Send>(count: usize, work: impl Fn(usize) -> R + Sync + Send) -> Vec<R> {
     (0..count).into_par_iter().map(work).collect()
 }
@@ -47,7 +47,7 @@ impl<'a, T> Disjoint<'a, T> {
         self.len == 0
     }
 
-    /// Where element `index` lies, for hints.
+    /// Address of element `index`, for prefetch hints.
     #[inline(always)]
     pub(crate) fn address(&self, index: usize) -> *const T {
         self.start.wrapping_add(index)
@@ -63,7 +63,7 @@ impl<'a, T> Disjoint<'a, T> {
         self.start.wrapping_add(start)
     }
 
-    /// The part `range`. Panics when it does not lie inside.
+    /// The part `range`. Panics when it is not inside the slice.
     ///
     /// # Safety
     /// No two parts that live at the same time overlap.

@@ -1,13 +1,12 @@
 //! Sizes of slices: products that cannot overflow.
 //!
-//! Unsafe code relies on a slice having the length of its shape. Plain products of sizes overflow in release builds,
-//! and a shape of 2⁶⁰ rows of 16 values would fit an empty slice; every size assertion of this crate multiplies here
-//! instead.
+//! Unsafe code relies on a slice having the length of its shape. Plain products of sizes overflow in release builds: a
+//! shape of 2⁶⁰ rows of 16 values would fit an empty slice. So every size assertion of this crate multiplies here.
 
 /// The largest size: no slice has more elements of a byte or more.
 const MOST: usize = isize::MAX.cast_unsigned();
 
-/// The product of `factors`, or `None` where that of the factors other than 0 is above `isize::MAX`.
+/// Returns the product of `factors`, or `None` where the product of the factors other than 0 is above `isize::MAX`.
 ///
 /// If the result is `Some`, the product of any of the factors in any order fits, with room for a sum of two.
 pub(crate) const fn checked_product<const N: usize>(factors: [usize; N]) -> Option<usize> {
@@ -26,7 +25,7 @@ pub(crate) const fn checked_product<const N: usize>(factors: [usize; N]) -> Opti
     Some(if empty { 0 } else { product })
 }
 
-/// [`checked_product`].
+/// Returns the value of [`checked_product`].
 ///
 /// # Panics
 /// Where it is `None`.
@@ -51,7 +50,7 @@ mod tests {
         for wrapping in [[1 << 32, 1 << 32, 1], [1 << 60, 16, 1], [1 << 62, 1, 2], [usize::MAX, 1, 1]] {
             assert_eq!(checked_product(wrapping), None, "{wrapping:?}");
         }
-        // Zero among them or not: parts of the product are multiplied elsewhere.
+        // A zero among the factors changes nothing: parts of the product are multiplied elsewhere.
         assert_eq!(checked_product([1 << 60, 0, 16]), None);
     }
 

@@ -22,7 +22,7 @@ pub(crate) fn bits(x: &[f32]) -> Vec<u32> {
     x.iter().map(|x| if x.is_nan() { f32::NAN.to_bits() } else { x.to_bits() }).collect()
 }
 
-/// The levels of this machine; prints once, past the test harness, which of all there are were skipped.
+/// Returns the levels of this machine. Prints once, past the test harness, which levels were skipped.
 pub(crate) fn levels() -> Vec<Level> {
     static PRINTED: Once = Once::new();
     let levels = Level::available();
@@ -36,8 +36,8 @@ pub(crate) fn levels() -> Vec<Level> {
     levels
 }
 
-/// Result of `compute` on the scalar level with one thread, after it has written the same bits on every level with 1,
-/// 2, 3 and 8 threads. The output holds 0.5 before.
+/// Returns the result of `compute` on the scalar level with one thread. Checks that it writes the same bits on every
+/// level with 1, 2, 3 and 8 threads. The output holds 0.5 before each call.
 pub(crate) fn on_every_level_and_thread_count(len: usize, compute: impl Fn(Level, &mut [f32]) + Sync) -> Vec<f32> {
     let run = |level, threads| {
         let mut out = vec![0.5; len];

@@ -1,7 +1,7 @@
-//! No circle of imports between the files of this crate, tests aside.
+//! Checks that the files of this crate, without tests, do not import each other in a circle.
 //!
 //! A file imports another if it names something that the other defines, by `use` or by a path from `crate`, `super` or
-//! a child. A module that passes names on (`pub use`) does not define them, and declaring a child is no import.
+//! a child. A module that re-exports names (`pub use`) does not define them, and declaring a child is not an import.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -13,7 +13,7 @@ type Module = Vec<String>;
 struct Source {
     /// Paths that the file names.
     uses: Vec<Vec<String>>,
-    /// Names that it passes on, and where they come from.
+    /// Names that it re-exports, and their origin.
     passed_on: BTreeMap<String, Vec<String>>,
 }
 

@@ -1,6 +1,6 @@
-//! Sizes that no slice has, handed to every public function that takes sizes and slices: products that wrap around to
-//! the length of a slice that is there, and sizes near the largest number. All of it safe code, so none of it may end
-//! in anything but a result or a panic; and where the true product is not the length, only the panic is right.
+//! Passes sizes that no slice has to every public function that takes sizes and slices: products that wrap around to
+//! the length of an existing slice, and sizes near the largest number. All of it is safe code, so every call must end
+//! in a result or a panic. Where the true product is not the length, only a panic is correct.
 
 #![forbid(unsafe_code)]
 
@@ -35,7 +35,7 @@ thread_local! {
     static EXPECTED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Returns true if `call` panics; nothing is printed of it.
+/// Returns true if `call` panics; the panic is not printed.
 fn panics<R>(call: impl FnOnce() -> R) -> bool {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
@@ -52,7 +52,7 @@ fn panics<R>(call: impl FnOnce() -> R) -> bool {
     panicked
 }
 
-/// The product without a limit, as far as 128 bits go.
+/// The product in 128 bits.
 fn exact(factors: &[usize]) -> u128 {
     factors.iter().fold(1, |product: u128, &factor| product.saturating_mul(factor as u128))
 }
@@ -62,7 +62,7 @@ fn wrapped(factors: &[usize]) -> usize {
     factors.iter().fold(1, |product: usize, &factor| product.wrapping_mul(factor))
 }
 
-/// The longest slice that is made here.
+/// The longest slice allocated here.
 const MOST: usize = 1 << 16;
 
 /// Values of the wrapped length, or fewer where that is long.
@@ -85,7 +85,7 @@ fn any_size() -> impl Strategy<Value = usize> {
     ]
 }
 
-/// `n` sizes whose product wraps around to at most 4096: what unchecked code takes for the length of a small slice.
+/// `n` sizes whose product wraps around to at most 4096, which unchecked code takes for the length of a small slice.
 fn wrapping_sizes(n: usize) -> impl Strategy<Value = Vec<usize>> {
     let by_powers =
         (proptest::collection::vec(0..64_u32, n), 0..n, 0..64_usize).prop_map(move |(bits, last, small)| {
@@ -104,19 +104,19 @@ fn wrapping_sizes(n: usize) -> impl Strategy<Value = Vec<usize>> {
     let of_any = proptest::collection::vec(any_size(), n);
     prop_oneof![by_powers, by_inverse, of_any]
         .prop_filter("a slice of that length can be made", |sizes| wrapped(sizes) <= 4096)
-        // Sizes that do not overflow are really allocated, and memory may not suffice.
+        // Sizes that do not overflow are allocated, and memory may not suffice.
         .prop_filter("no size is only large", |sizes| {
             sizes.iter().all(|&size| !(1 << 16..1 << 61).contains(&size)) || exact(sizes) > usize::MAX as u128
         })
 }
 
-/// Returns true if the sizes are consistent: the product is the slice's length, and none is large next to a 0.
+/// Returns true if the true product and every size are at most 4096: then the product is the slice's length.
 fn is_small(sizes: &[usize]) -> bool {
     exact(sizes) <= 4096 && sizes.iter().all(|&size| size <= 4096)
 }
 
-/// A call with these sizes and a slice of the wrapped length: it must succeed with small sizes, and panic where the
-/// true product is not the length. With a 0 among the sizes, a large one may do either.
+/// Makes a call with these sizes and a slice of the wrapped length. It must succeed with small sizes, and panic where
+/// the true product is not the length. With a 0 and a large one among the sizes it may do either.
 fn check<R>(sizes: &[usize], call: impl FnOnce(&mut [f32]) -> R) {
     if wrapped(sizes) > MOST {
         return;
@@ -210,7 +210,7 @@ proptest! {
         let [channels, h, w] = sizes[..] else { unreachable!() };
         let level = Level::detect();
         let source = vec![0.5; 15];
-        // Any source into an image that is there, and an image that is there into anything.
+        // Any source into an image that can be allocated, and such an image into any size.
         if h > 0 && w > 0 {
             check(&sizes, |source| bilinear(level, source, channels, h, w, 2, 3, &mut values(&[channels, 6])));
         }
@@ -329,7 +329,7 @@ proptest! {
             prop_assert_eq!(panics(|| rasteriser.lists(&gaussians, projection, &request, &mut Lists::default())), !allowed);
             let mut map = ColourMap::with_budget(Level::detect(), width);
             prop_assert_eq!(panics(|| map.prepare(&gaussians, projection, [width, height])), !allowed);
-            // Also one whose preparation was refused.
+            // Includes a map whose preparation panicked.
             let [w, h] = map.size();
             let (mut image, mut sums) = (vec![0.0; 3 * w * h], vec![[0.0; 3]; map.gaussians()]);
             let colours = vec![[0.5; 3]; map.gaussians()];
@@ -354,7 +354,7 @@ proptest! {
 
     #[test]
     fn memory_holds_what_was_asked_for_or_nothing(len in any_size()) {
-        // Lengths whose bytes overflow, and short ones: lengths between are really allocated.
+        // Lengths whose bytes overflow, and short ones: lengths between would be allocated.
         let len = if len >= 1 << 60 { len } else { len % 4096 };
         prop_assert_eq!(panics(|| assert_eq!(Aligned::<u32>::zeroed(len).len(), len)), len >= 1 << 60);
         prop_assert_eq!(panics(|| assert_eq!(Scratch::take(len).len(), len)), len >= 1 << 60);
@@ -413,16 +413,16 @@ fn pyramid(size: [usize; 2]) -> Pyramid {
     Pyramid::new(Level::detect(), &vec![0.5; size[0] * size[1]], size, &Options::default()).expect("a small frame")
 }
 
-/// A call whose result is of no interest.
+/// A call whose result is ignored.
 fn without_result<R>(call: impl FnOnce() -> R + 'static) -> Box<dyn FnOnce()> {
     Box::new(move || {
         call();
     })
 }
 
-/// Every public function that takes sizes, directly or in a structure, with sizes for which no memory exists: 2³² rows
-/// of 2³² values are no values at all in 64 bits. `engine/cli/tests/program/trust.rs` compares the names with
-/// `docs/api/kernels.txt`.
+/// Every public function that takes sizes, directly or in a structure, with sizes for which no memory exists: the
+/// number of values of 2³² rows of 2³² wraps around to 0 in 64 bits. `engine/cli/tests/program/trust.rs` compares the
+/// names with `docs/api/kernels.txt`.
 fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
     const HALF: usize = 1 << 32;
     let level = Level::detect();
@@ -575,7 +575,7 @@ fn sizes_whose_products_wrap_to_zero_are_refused() {
 
 #[test]
 fn fields_with_a_side_that_floats_cannot_count_are_refused() {
-    // The last column of such a row is no binary32 number: rounded, it lies behind the row.
+    // The last column of such a row is not a binary32 number: rounded, it is behind the row.
     let (w, level) = ((1 << 24) + 4, Level::detect());
     let field = Field { size: [1, w], u: vec![1e9; w], v: vec![0.0; w] };
     assert!(panics(|| field.round_trip(level, &field)));

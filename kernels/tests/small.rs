@@ -1,6 +1,6 @@
-//! Every kernel at small shapes, on every level with one thread and with three: what sanitizers and Miri run
-//! (`tests/checked/run`), and a first look at a new level. Sizes are those at the ends of vectors, register blocks,
-//! tiles and tasks; values are checked by the kernels' own tests, here levels and threads have to agree.
+//! Runs every kernel at small shapes, on every level with one thread and with three: for sanitizers and Miri
+//! (`tests/checked/run`), and as a first test of a new level. Sizes are those at the ends of vectors, register blocks,
+//! tiles and tasks. The kernels' own tests check values; here levels and threads must agree.
 
 #![forbid(unsafe_code)]
 
@@ -31,7 +31,7 @@ fn noise(len: usize, seed: u64) -> Vec<f32> {
     values.into_iter().map(|x| 2.0 * x - 1.0).collect()
 }
 
-/// `compute` returns the same bits on every level with one thread and with three.
+/// Checks that `compute` returns the same bits on every level with one thread and with three.
 fn everywhere(what: &str, compute: impl Fn(Level) -> Vec<f32> + Sync) {
     let run = |level, threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
@@ -45,7 +45,7 @@ fn everywhere(what: &str, compute: impl Fn(Level) -> Vec<f32> + Sync) {
     }
 }
 
-/// A value for each size, less of them where an interpreter runs this.
+/// The sizes, fewer of them under an interpreter.
 fn some<T: Copy>(sizes: &[T]) -> &[T] {
     if cfg!(miri) { &sizes[..sizes.len().min(2)] } else { sizes }
 }
@@ -319,7 +319,7 @@ fn optical_flow() {
     }
 }
 
-/// `n` Gaussians in front of a camera, some of them large, faint, or outside of the image.
+/// `n` Gaussians in front of a camera, some of them large, faint, or outside the image.
 fn scene(n: usize, rotated: bool) -> OwnedGaussians {
     let mut scene = OwnedGaussians { rotation: rotated.then(Vec::new), ..OwnedGaussians::default() };
     for (i, x) in noise(10 * n, 7).as_chunks::<10>().0.iter().enumerate() {
@@ -356,7 +356,7 @@ fn images_of_gaussians() {
                     (request.depth, request.alpha, request.statistics) = (true, true, true);
                     let mut rasteriser = Rasteriser::new(level);
                     all.extend(planes(rasteriser.render(&scene.gaussians(), &projection, &request)));
-                    // The same again, and with a few of them changed: tiles are kept.
+                    // The same scene again, then with some Gaussians changed: tiles are kept.
                     let mut changed = scene.clone();
                     for mean in changed.mean.iter_mut().take(2) {
                         mean[0] += 0.3;

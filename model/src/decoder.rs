@@ -1,4 +1,4 @@
-//! The dynamic decoder: two frames' embeddings to the embeddings of their deformations.
+//! The dynamic decoder: from two frames' embeddings to the embeddings of their deformations.
 //!
 //! ```text
 //! c_f = norm(condition_proj(features of the other frame) + position code)
@@ -38,13 +38,13 @@ pub(crate) struct Decoder {
 /// Position code of the condition.
 #[derive(Clone)]
 enum Table {
-    /// From the checkpoint: as long as it is.
+    /// From the checkpoint: of fixed length.
     Stored(Vec<f32>),
-    /// Computed: longer ones can be.
+    /// Computed: recomputed where a longer one is needed.
     Computed(Vec<f32>),
 }
 
-/// A block; a branch that is zero-output is none.
+/// A block; a zero-output branch is `None`.
 #[derive(Clone)]
 struct PairBlock {
     self_attn: Option<SelfAttention>,
@@ -92,12 +92,12 @@ impl Decoder {
         Ok(decoder)
     }
 
-    /// Keeps the positions of these places of the grid of `config`, in this order.
+    /// Keeps the positions of these places in the grid of `config`, in this order.
     pub(crate) fn keep_positions(&mut self, places: &[usize], config: &Config) {
         let (d, n) = (config.hidden_dim, config.tokens());
         let pair: Vec<usize> = places.iter().copied().chain(places.iter().map(|place| n + place)).collect();
         self.position = rows_of(&self.position, d, &pair);
-        // A condition that is not the other frame's embedding lies on a grid of its own.
+        // A condition that is not the other frame's embedding has a grid of its own.
         if !config.use_dino {
             self.condition_position = Table::Stored(rows_of(&self.condition_positions(n), d, places));
         }
@@ -111,7 +111,8 @@ impl Decoder {
         }
     }
 
-    /// The tokens `at` (`None`: all) of a condition of `m`, whose rows `features [_, C]` holds, ready to attend to.
+    /// Projects the tokens `at` (`None`: all) of a condition of `m` tokens, whose rows are `features [_, C]`, for
+    /// attention.
     fn condition(&self, level: Level, features: &[f32], at: Option<&[u32]>, m: usize) -> Vec<f32> {
         let d = self.condition_proj.n();
         let mut projected = vec![0.0; features.len() / self.condition_proj.k() * d];

@@ -23,7 +23,7 @@ use crate::{Config, ModelError};
 #[derive(Clone)]
 pub(crate) struct DeformationHead {
     encoder_proj: Arc<Layer>,
-    /// The first layers of both networks, side by side: they have the same input.
+    /// The first layers of both networks joined into one: they have the same input.
     first: Arc<Layer>,
     velocity: Rest,
     gamma: Rest,
@@ -35,11 +35,11 @@ pub(crate) struct DeformationHead {
 struct Rest([Arc<Layer>; 2]);
 
 impl DeformationHead {
-    /// `weights` is the whole model's: the head's tensors lie in two places.
+    /// Loads the head. `weights` is the whole model's: the head's tensors are in two places.
     pub(crate) fn load(weights: &Weights<'_>, config: &Config) -> Result<DeformationHead, ModelError> {
         let d = config.gaussian_dim();
         let head = weights.at(keys::DEFORMATION_HEAD);
-        // Only training draws velocities; the tensor is checked all the same.
+        // Only training draws velocities; the tensor is checked nevertheless.
         head.shape_like("gs_layer.xyz_dynamic_scale.weight", [Some(3), Some(2 * d)])?;
         let scalar = head.vector("dynamic_scalar", &[3])?;
         let layer = |name: &str| format!("gs_layer.{name}_dynamic.layers.1");
@@ -54,7 +54,7 @@ impl DeformationHead {
         })
     }
 
-    /// For frames whose sides are those of training over `ratio`: velocities are parts of a side.
+    /// Adapts to frames whose sides are those of training divided by `ratio`: velocities are fractions of a side.
     pub(crate) fn fit_to(&mut self, [x, z]: [f32; 2]) {
         self.dynamic_scalar = [self.dynamic_scalar[0] * x, self.dynamic_scalar[1], self.dynamic_scalar[2] * z];
     }

@@ -1,4 +1,4 @@
-//! DINOv2 with register tokens: the features a frame's partner is conditioned on.
+//! DINOv2 with register tokens. Its features of a frame are the condition of the frame's partner.
 //!
 //! ```text
 //! resized = bilinear(frame)                                    252×448, values in [0, 1]
@@ -32,7 +32,7 @@ pub struct Dino {
     config: DinoConfig,
     options: LoadOptions,
     patch_embed: Linear,
-    /// Class token with its position, then the registers, which have none.
+    /// Class token with its position, then the registers, which have no position.
     first: Vec<f32>,
     /// Positions of the patches, `[M, C]`.
     position: Vec<f32>,
@@ -59,8 +59,8 @@ impl std::fmt::Debug for Dino {
 }
 
 impl Dino {
-    /// Loads a file of DINOv2 in any [`DinoLayout`], safetensors or what `torch.save` writes. A JSON file of the same
-    /// name may state another input size (`resized_to`).
+    /// Loads a file of DINOv2 in any [`DinoLayout`], from safetensors or `torch.save`. A JSON file of the same name may
+    /// state another input size (`resized_to`).
     ///
     /// # Errors
     /// As [`crate::Network::open`].
@@ -126,12 +126,12 @@ impl Dino {
     /// Features of a frame `rgb [3, height, width]` in [0, 1], of any size.
     ///
     /// # Errors
-    /// When the frame has no pixels or not that many values, or some are not finite.
+    /// When the frame has no pixels, has another number of values than its size, or holds values that are not finite.
     pub fn features(&self, rgb: &[f32], size: [usize; 2]) -> Result<DinoFeatures, ModelError> {
         self.compute(rgb, size, None)
     }
 
-    /// [`Dino::features`] of some tokens, where a cache holds the others.
+    /// [`Dino::features`] for some tokens, where a cache holds the others.
     pub(crate) fn compute(
         &self,
         rgb: &[f32],
@@ -178,7 +178,7 @@ impl Dino {
     }
 }
 
-/// The error of a file that is something else.
+/// The error of a file that is not DINOv2.
 fn not_dino(checkpoint: &Checkpoint) -> ModelError {
     ModelError::Format {
         file: checkpoint.file().to_owned(),
@@ -210,7 +210,7 @@ impl DinoBlock {
         })
     }
 
-    /// Takes `rows` through it. `kept` is the block's cache where something is kept.
+    /// Applies the block to `rows`. `kept` is the block's cache, where there is one.
     fn apply(&self, level: Level, rows: &mut Rows, kept: Option<&mut BlockCache>, work: &mut Workspace) {
         let (d, x) = (self.proj.n(), &mut rows.x[..]);
         let qkv = sized(&mut work.projected, 3 * x.len());

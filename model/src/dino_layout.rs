@@ -23,11 +23,11 @@ pub enum DinoLayout {
     Timm,
     /// transformers, with the prefix of its names.
     Transformers(&'static str),
-    /// A module of transformers 5 as it is in memory, with the prefix of its names.
+    /// A module of transformers 5 in memory, with the prefix of its names.
     TransformersModule(&'static str),
 }
 
-/// Prefix of the names of transformers: none in a model's own file, its name inside a larger model.
+/// Prefixes of the names of transformers: none in a model's own file, the model's name inside a larger model.
 const PREFIXES: [&str; 4] = ["", "dinov2_with_registers.", "dinov2.", "backbone."];
 
 /// Names outside the blocks, official and of transformers.
@@ -51,7 +51,7 @@ const INSIDE: [(&str, &str); 6] = [
     ("ls2.gamma", "layer_scale2.lambda1"),
 ];
 
-/// The same in a module of transformers 5.
+/// [`INSIDE`] in a module of transformers 5.
 const INSIDE_MODULE: [(&str, &str); 6] = [
     ("attn.q.", "attention.q_proj."),
     ("attn.k.", "attention.k_proj."),
@@ -84,7 +84,7 @@ impl DinoLayout {
         }
     }
 
-    /// Positions of the class token in a file: one, or none where `cls_token` holds it already.
+    /// Number of class-token positions in a file: one, or none where `cls_token` includes it.
     pub(crate) fn class_positions(self) -> usize {
         usize::from(self != DinoLayout::Timm)
     }
@@ -101,7 +101,7 @@ impl DinoLayout {
         }
     }
 
-    /// The official name of the file's tensor `key`, as far as a part's name depends on it.
+    /// The official name of the file's tensor `key`, to the extent that the name of its part needs it.
     pub(crate) fn official(self, key: &str) -> Cow<'_, str> {
         match self {
             DinoLayout::Official => Cow::Borrowed(key),

@@ -5,8 +5,8 @@ use std::borrow::Borrow;
 use crate::reuse::{PartCache, Saving, Tokens};
 use crate::{Dino, DinoFeatures, ModelError};
 
-/// A way through DINOv2 for the frames of one stream, each in turn. With [`Saving::Within`] it keeps what the next
-/// frame may need: see [`crate::reuse`].
+/// A session of DINOv2 for the frames of one stream, in order. With [`Saving::Within`] it keeps results for the next
+/// frame: see [`crate::reuse`].
 #[derive(Debug)]
 pub struct DinoSession<D> {
     dino: D,
@@ -14,7 +14,7 @@ pub struct DinoSession<D> {
 }
 
 impl<D: Borrow<Dino>> DinoSession<D> {
-    /// A session that keeps nothing yet. Without [`Saving::Within`] it never does.
+    /// A session without kept results. It only keeps any with [`Saving::Within`].
     pub fn new(dino: D, saving: Option<Saving>) -> DinoSession<D> {
         let config = dino.borrow().config();
         let n = 1 + config.register_tokens + config.grid().iter().product::<usize>();
@@ -22,7 +22,7 @@ impl<D: Borrow<Dino>> DinoSession<D> {
         DinoSession { dino, cache }
     }
 
-    /// [`Dino::features`], but for tokens that hardly moved.
+    /// [`Dino::features`], except for tokens that hardly moved: these keep their features.
     ///
     /// # Errors
     /// As [`Dino::features`].
@@ -30,12 +30,12 @@ impl<D: Borrow<Dino>> DinoSession<D> {
         self.dino.borrow().compute(rgb, size, self.cache.as_mut())
     }
 
-    /// Tokens computed and kept, one for every token and block; none where nothing is kept.
+    /// Tokens computed and kept, one for every token and block; `None` where nothing is kept.
     pub fn tokens(&self) -> Option<Tokens> {
         self.cache.as_ref().map(PartCache::tokens)
     }
 
-    /// Bytes that it keeps: at most those of one frame, for any length of the stream.
+    /// Bytes kept: at most those of one frame, for any length of the stream.
     pub fn bytes(&self) -> usize {
         self.cache.as_ref().map_or(0, PartCache::bytes)
     }

@@ -1,4 +1,4 @@
-//! The static encoder: a frame's pixels and depth to its embedding.
+//! The static encoder: from a frame's pixels and depth to its embedding.
 //!
 //! ```text
 //! tokens_conv = conv(R, G, B, depth)                     [N, D], 8×8 stride 8, no bias

@@ -13,7 +13,7 @@ pub enum ModelError {
     Io {
         /// The file.
         file: String,
-        /// Why.
+        /// Cause.
         source: io::Error,
     },
     /// A file could not be written.
@@ -21,10 +21,10 @@ pub enum ModelError {
     Write {
         /// The file.
         file: String,
-        /// Why.
+        /// Cause.
         source: io::Error,
     },
-    /// The bytes are not the format they should be.
+    /// The bytes do not have the expected format.
     #[error("{file}: {reason}")]
     Format {
         /// The file.

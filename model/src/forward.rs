@@ -1,8 +1,8 @@
-//! One pair of frames through the whole network, from tensors to named tensors.
+//! Runs one pair of frames through the whole network, from named tensors to named tensors.
 //!
 //! | input | output |
 //! |---|---|
-//! | `in.frames [2,3,H,W]`, `in.depths [2,1,H,W]` (zeros when absent), `in.condition [2,M,C]` where the model wants it | `out.tokens_conv`, `out.h`, `out.d` `[2,N,D]`; `out.static_tokens`, `out.dynamic_tokens` `[2,16N,d]`; `out.static.{xyz_static,scale,opacity,rgb}`, `out.dynamic.{velocity,gamma}` `[2,16N,_]` |
+//! | `in.frames [2,3,H,W]`, `in.depths [2,1,H,W]` (zeros when absent), `in.condition [2,M,C]` where the model needs it | `out.tokens_conv`, `out.h`, `out.d` `[2,N,D]`; `out.static_tokens`, `out.dynamic_tokens` `[2,16N,d]`; `out.static.{xyz_static,scale,opacity,rgb}`, `out.dynamic.{velocity,gamma}` `[2,16N,_]` |
 //! | `in.frame [1,3,h,w]` (for a DINOv2 file) | `out.resized`, `out.patch_tokens`, `out.cls_token` |
 //!
 //! `out.static.xyz_static` is the world position (x, y, z), not the offset.

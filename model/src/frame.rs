@@ -33,9 +33,9 @@ pub enum Sampling {
     },
 }
 
-/// The Gaussians of one frame at the frame's own time, one per 2×2 pixels, row by row.
+/// Gaussians of one frame at the frame's own time, one per 2×2 pixels, row by row.
 ///
-/// There is no rotation; the third standard deviation, along y, is the mean of the two times the thickness.
+/// They have no rotation. The third standard deviation, along y, is the mean of the other two times the thickness.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StaticGaussians {
     /// World position (x, y, z): x in [−1, 1] left to right, y normalised inverse depth, z in [1, −1] top to bottom.
@@ -59,15 +59,15 @@ pub struct StaticFrame {
     pub gaussians: StaticGaussians,
 }
 
-/// One frame of a pair, as the dynamic decoder sees it.
+/// One frame of a pair, as input of the dynamic decoder.
 #[derive(Clone, Copy, Debug)]
 pub struct Side<'a> {
     /// [`Embedding::h`] of the frame.
     pub h: &'a [f32],
     /// [`StaticFrame::tokens`] of the frame.
     pub static_tokens: &'a [f32],
-    /// `[M, C]` features of *this* frame (DINOv2 patch tokens) where the model is conditioned on them, else `None`.
-    /// The network hands each frame's features to the other frame.
+    /// `[M, C]` features of *this* frame (DINOv2 patch tokens) where the model is conditioned on them, else `None`. The
+    /// network passes each frame's features to the other frame.
     pub condition: Option<&'a [f32]>,
 }
 

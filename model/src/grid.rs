@@ -1,10 +1,10 @@
-//! The same network for smaller frames: part of its patch grid.
+//! The same network for smaller frames, on part of its patch grid.
 //!
-//! A token's place reaches the network through position tables alone. With the tables' rows of the grid's upper left
-//! `rows × columns` places, the same weights take frames of that many patches; a token's neighbours are then as far
-//! from it, in the tables, as they were in training. Scales and velocities, which are parts of a frame's sides, grow by
-//! the ratio of the sides. This needs attention that sees every token of the frame, or none: windows are runs of tokens
-//! of a whole grid, and have no meaning in a part of it.
+//! A token's place enters the network only through position tables. With the tables' rows for the grid's upper left
+//! `rows × columns` places, the same weights take frames of that many patches. A token's neighbours are then as far
+//! from it, in the tables, as in training. Scales and velocities, which are fractions of a frame's sides, grow by the
+//! ratio of the sides. This needs attention over every token of the frame, or over none: windows are runs of tokens of
+//! a whole grid, and are undefined in a part of it.
 
 use crate::Network;
 use crate::layers::Workspaces;
@@ -16,8 +16,9 @@ impl Network {
         self.config.encoder_window.is_none() && self.upsamplers_are_local
     }
 
-    /// This network for frames of `grid` patches (rows, columns), sharing its weights. `None` when a side is zero or
-    /// larger than this network's, or where it must be the whole grid ([`Network::takes_part_of_its_grid`]).
+    /// Returns this network for frames of `grid` patches (rows, columns), sharing its weights. `None` when a side is
+    /// zero or larger than this network's, or when only the whole grid is possible
+    /// ([`Network::takes_part_of_its_grid`]).
     pub fn on_grid(&self, grid: [usize; 2]) -> Option<Network> {
         let [whole_rows, whole_columns] = self.config.grid();
         let [rows, columns] = grid;
@@ -27,7 +28,7 @@ impl Network {
         }
         let mut config = self.config.clone();
         config.resolution = grid.map(|side| side * config.patch_size);
-        // Only branches that add nothing would still see windows; they must divide the tokens.
+        // Only branches that add nothing still have windows; these must divide the tokens.
         config.upsampler_window = gcd(config.upsampler_window, 4 * rows * columns);
         let places: Vec<usize> =
             (0..rows).flat_map(|row| (0..columns).map(move |column| row * whole_columns + column)).collect();

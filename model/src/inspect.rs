@@ -48,11 +48,11 @@ pub struct Report {
     pub layout: Option<DinoLayout>,
     /// Kind and sizes.
     pub kind: Architecture,
-    /// Parts, in the order of the computation; what belongs to none of them comes last, as `ignored`.
+    /// Parts, in the order of the computation; tensors of no part come last, as `ignored`.
     pub parts: Vec<Part>,
-    /// Number formats of the tensors and how many have each.
+    /// Number formats of the tensors, with the number of tensors of each.
     pub formats: Vec<(String, usize)>,
-    /// Cost per stage, were all of it computed.
+    /// Cost per stage if everything is computed.
     pub stages: Vec<StageCost>,
     /// Residual branches that are left out because they add zero, by part.
     pub zero_output: Vec<ZeroOutput>,
@@ -66,7 +66,7 @@ impl Report {
         self.parts.iter().filter(|p| p.name != IGNORED).map(|p| p.parameters).sum()
     }
 
-    /// 10⁹ operations per new key frame, were all of it computed.
+    /// 10⁹ operations per new key frame if everything is computed.
     pub fn gflop(&self) -> f64 {
         self.stages.iter().map(|s| s.gflop * s.calls as f64).sum()
     }
@@ -78,7 +78,7 @@ const IGNORED: &str = "ignored";
 /// Inspects the model file at `path` and the JSON file next to it.
 ///
 /// # Errors
-/// When the file is malformed, is no model, or contradicts its configuration.
+/// When the file is malformed, is not a model, or contradicts its configuration.
 pub fn inspect(path: impl AsRef<Path>) -> Result<Report, ModelError> {
     let checkpoint = Checkpoint::open(path.as_ref())?;
     inspect_checkpoint(&checkpoint, &Settings::beside(path.as_ref())?)
@@ -139,7 +139,7 @@ fn inspect_checkpoint(checkpoint: &Checkpoint, settings: &Settings) -> Result<Re
     Ok(Report { file, bytes, prefix, layout, kind, parts, formats, stages, zero_output, ignored })
 }
 
-/// Parts of a StreamSplat checkpoint and the keys they start with. The first that fits counts.
+/// Parts of a StreamSplat checkpoint and the prefixes of their keys. The first match counts.
 const PARTS: [(&str, &[&str]); 6] = [
     ("encoder", &[keys::ENCODER]),
     ("static upsampler", &[keys::STATIC_UPSAMPLER]),

@@ -1,6 +1,6 @@
 //! The names of a checkpoint's parts.
 
-/// Prefixes all keys of a checkpoint may carry: as trained, from a compiled module, none.
+/// Prefixes that all keys of a checkpoint may have: as trained, from a compiled module, none.
 pub(crate) const PREFIXES: [&str; 3] = ["model.", "model._orig_mod.", ""];
 pub(crate) const ENCODER: &str = "gs_predictor.encoder.transformer_encoder";
 pub(crate) const STATIC_UPSAMPLER: &str = "gs_predictor.gaussian_upsampler";

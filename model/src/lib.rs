@@ -8,8 +8,8 @@
 //! h_a, h_b, conditions ── decoder ──► d_a, d_b ── deformation upsampler ── deformation head ──► velocity, γ
 //! ```
 //!
-//! A [`Session`] takes frames through it. [`reuse`] leaves out what did not change between frames, [`zero_output`] what
-//! adds nothing.
+//! A [`Session`] takes frames through the network. [`reuse`] skips tokens that did not change between frames,
+//! [`zero_output`] skips branches that add nothing.
 //!
 //! Arrays are row-major `f32`; a frame's tokens run over the patch grid row by row. World axes: x right, y away from
 //! the camera (0 near, 1 far: normalised inverse depth), z up. Every output obeys the bit contract of the kernels: it

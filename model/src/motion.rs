@@ -11,7 +11,7 @@
 //! The quotient is evaluated as `(1 + e^{−a}) / (1 + e^{x})` with `a = γ₀·γ₁` and `x = γ₀·(|τ| − γ₁)`. Nothing
 //! overflows: `−a ≤ 0`, and where `x > 87` the quotient, below 2e−38, is zero. At τ = 0, `x = −a` exactly (rounding is
 //! symmetric), so the quotient is exactly 1 and opacity is the static one. Sums and quotients are monotone under
-//! rounding, so the whole falls with |τ| as far as the exponential rises.
+//! rounding, so the result falls with |τ| wherever the exponential rises.
 //!
 //! StreamSplat (ICLR 2026), deformation field.
 
@@ -20,13 +20,13 @@ use streamsplat_kernels::math;
 use streamsplat_kernels::parallel::for_each_chunk;
 use streamsplat_kernels::simd::{LANES, Operation, Simd, dispatch};
 
-/// Where x is larger, the opacity's factor is under 2e−38: zero.
+/// Where x is larger, the opacity's factor is under 2e−38 and set to zero.
 const VANISHED: f32 = 87.0;
 
 /// Gaussians of a task.
 const TASK: usize = 1 << 12;
 
-/// Positions `τ` after (or, negative, before) the Gaussians' own frame: `out[i] = position[i] + velocity[i]·τ`.
+/// Positions at time `τ` from the Gaussians' own frame (negative: before it): `out[i] = position[i] + velocity[i]·τ`.
 ///
 /// One multiplication and one addition, each rounded.
 ///

@@ -18,7 +18,7 @@ use crate::{Config, LoadOptions, ModelError, Session, keys};
 
 /// A StreamSplat network with its weights.
 ///
-/// Frames go through it in a [`Session`]: [`Network::session`].
+/// A [`Session`] takes frames through it: [`Network::session`].
 pub struct Network {
     pub(crate) config: Config,
     pub(crate) options: LoadOptions,
@@ -41,12 +41,12 @@ impl std::fmt::Debug for Network {
 }
 
 impl Network {
-    /// Loads the checkpoint at `path` (safetensors, official layout); settings that shapes do not determine come from
+    /// Loads the checkpoint at `path` (safetensors, official layout). Settings that shapes do not determine come from
     /// the JSON file of the same name in the same folder, or have the published values.
     ///
     /// # Errors
-    /// When a file cannot be read or is malformed, when a tensor is missing, has another shape than the others need or
-    /// holds values that are not finite, and when the configuration contradicts the tensors.
+    /// When a file cannot be read or is malformed, or when the configuration contradicts the tensors. When a tensor is
+    /// missing, has another shape than the others need, or holds values that are not finite.
     pub fn open(path: impl AsRef<Path>, options: &LoadOptions) -> Result<Network, ModelError> {
         let checkpoint = Checkpoint::open(path.as_ref())?;
         let settings = Settings::beside(path.as_ref())?;
@@ -114,15 +114,14 @@ impl Network {
         &self.zero_output
     }
 
-    /// Bytes its weights take in memory.
+    /// Bytes of its weights in memory.
     pub fn bytes(&self) -> usize {
         let upsamplers = self.static_upsampler.bytes() + self.deformation_upsampler.bytes();
         let heads = self.static_head.bytes() + self.deformation_head.bytes();
         self.encoder.bytes() + upsamplers + heads + self.decoder.bytes()
     }
 
-    /// A session without a stream behind it, or, with `saving`, one that keeps what the next frame may need. See
-    /// [`crate::reuse`].
+    /// Returns a session. With `saving` it keeps results for the next frame of a stream: see [`crate::reuse`].
     pub fn session(&self, saving: Option<Saving>) -> Session<&Network> {
         Session::new(self, saving)
     }

@@ -1,4 +1,4 @@
-//! How a model is loaded.
+//! Options of loading a model.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,17 +8,17 @@ use streamsplat_kernels::{Level, gemm};
 /// Options of loading a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LoadOptions {
-    /// The instruction-set level every kernel runs on. It changes no output bit.
+    /// The instruction-set level of every kernel. It changes no output bit.
     pub level: Level,
     /// The arithmetic of the large matrix products.
     pub precision: Precision,
-    /// True if residual branches that add nothing are computed all the same. It changes no output bit: see
+    /// True if residual branches that add nothing are computed as well. It changes no output bit: see
     /// [`crate::zero_output`].
     pub compute_zero_output: bool,
 }
 
 impl Default for LoadOptions {
-    /// The machine's highest level, f32, nothing that adds nothing.
+    /// The machine's default level, f32, without branches that add nothing.
     fn default() -> Self {
         Self { level: Level::detect(), precision: Precision::F32, compute_zero_output: false }
     }
@@ -51,8 +51,9 @@ impl Precision {
         }
     }
 
-    /// The operands of the products that 8 bits spoil: the first block of the encoder, whose outlying channels carry a
-    /// patch's colours, and the layers that spread a token over finer ones. They are bf16 in [`Precision::Int8`].
+    /// The operands of the products for which 8 bits are too coarse: the first block of the encoder, whose outlying
+    /// channels carry a patch's colours, and the layers that widen a token to finer ones. They are bf16 in
+    /// [`Precision::Int8`].
     pub(crate) const fn of_edges(self) -> gemm::Precision {
         match self {
             Precision::Int8 => gemm::Precision::Bf16,
@@ -76,7 +77,7 @@ impl fmt::Display for Precision {
     }
 }
 
-/// A name that is no precision mode's.
+/// A name that is not a precision mode's.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("unknown precision {0:?}: expected f32, bf16 or int8")]
 pub struct UnknownPrecision(pub String);

@@ -1,4 +1,4 @@
-//! The way of frames through the network, stage by stage.
+//! Sessions: frames pass through the network stage by stage.
 
 use std::borrow::Borrow;
 
@@ -11,11 +11,10 @@ use crate::{
     StaticPosition,
 };
 
-/// A way through a network, for single frames or, with a [`Cache`], for the frames of one stream, each in turn.
+/// A session of a network, for single frames or, with a [`Cache`], for the frames of one stream in order.
 ///
-/// Its methods run on the threads of the rayon pool they are called in; the results do not depend on how many there
-/// are. Between them they recompute nothing: a frame is embedded once, and a pair costs one decoder call and two
-/// upsamplings.
+/// Its methods run on the threads of the current rayon pool; the results do not depend on their number. No stage
+/// repeats the work of another: a frame is embedded once, and a pair costs one decoder call and two upsamplings.
 #[derive(Debug)]
 pub struct Session<N> {
     network: N,
@@ -23,8 +22,8 @@ pub struct Session<N> {
 }
 
 impl<N: Borrow<Network>> Session<N> {
-    /// A session of `network` that keeps nothing yet. Without `saving` it never does, nor where this network has
-    /// nothing to keep: where every token sees all others, no part of a frame is exactly as it was.
+    /// Returns a session of `network` with an empty cache. There is no cache without `saving`, nor where this network
+    /// has nothing to keep: where every token attends to all others, no result is exactly as before.
     pub fn new(network: N, saving: Option<Saving>) -> Session<N> {
         let cache = saving.and_then(|saving| Cache::new(saving, &network.borrow().config));
         Session { network, cache }
@@ -35,7 +34,7 @@ impl<N: Borrow<Network>> Session<N> {
         self.network.borrow()
     }
 
-    /// Results that it keeps, if any.
+    /// The kept results, if there is a cache.
     pub fn cache(&self) -> Option<&Cache> {
         self.cache.as_ref()
     }
@@ -114,8 +113,8 @@ impl<N: Borrow<Network>> Session<N> {
         Ok(workspaces.lend(|work| static_upsampler.apply(options.level, config, h, (cache, moves), work)))
     }
 
-    /// The static head on upsampled tokens `[16N, d]`, with a cache the result of the last call of
-    /// [`Session::upsample_static`]. Positions that are drawn are all drawn anew.
+    /// The static head on upsampled tokens `[16N, d]`. With a cache they must be the result of the last call of
+    /// [`Session::upsample_static`]. Sampled positions are all drawn again.
     ///
     /// # Errors
     /// When `tokens` is not of that size, or not finite.
@@ -178,8 +177,8 @@ impl<N: Borrow<Network>> Session<N> {
     }
 
     /// The deformation head on static and deformation tokens of the earlier (0) or the later (1) frame, both `[16N,
-    /// d]`: velocity and γ. With a cache, `tokens` are the result of the last call of [`Session::upsample_deformation`]
-    /// for that place.
+    /// d]`: velocity and γ. With a cache, `tokens` must be the result of the last call of
+    /// [`Session::upsample_deformation`] for that place.
     ///
     /// # Errors
     /// When one is not of that size, or not finite.
@@ -203,7 +202,7 @@ impl<N: Borrow<Network>> Session<N> {
         })
     }
 
-    /// Returns true if most of the picture has changed since the previous frame, as far as known.
+    /// Returns true if most of the picture is known to have changed since the previous frame.
     fn moves(&self) -> bool {
         self.cache.as_ref().is_some_and(|cache| cache.encoder.moves())
     }

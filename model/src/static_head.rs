@@ -1,7 +1,7 @@
 //! From upsampled tokens to the Gaussians of a frame.
 //!
-//! On a grid of `H2 × W2` cells, with `x_map` the cell centres of [−1, 1] left to right and `z_map` those of [1, −1]
-//! top to bottom:
+//! The grid has `H2 × W2` cells; `x_map` are the cell centres of [−1, 1] left to right and `z_map` those of [1, −1] top
+//! to bottom:
 //!
 //! ```text
 //! o = tanh(layer(token))   or, for a truncated normal, its mean tanh(layer(token))·(1 − ε) or a sample
@@ -9,8 +9,8 @@
 //! scale = 0.1·softplus,  opacity = 0.05 + 0.95·σ,  rgb = σ
 //! ```
 //!
-//! Scales are parts of a frame's sides. For a frame that is smaller than those of training they are multiplied by the
-//! ratio of the sides, so that they are as many cells as there.
+//! Scales are fractions of a frame's sides. For frames smaller than in training they are multiplied by the ratio of the
+//! sides, so that they span as many cells as in training.
 
 use std::sync::Arc;
 
@@ -26,8 +26,8 @@ use crate::{Config, ModelError, Sampling, StaticGaussians, StaticPosition};
 
 #[derive(Clone)]
 pub(crate) struct StaticHead {
-    /// All heads side by side: position (3), its log scale (3, only of a truncated normal), scale (2), opacity (1), rgb
-    /// (3).
+    /// All heads joined into one layer: position (3), its log scale (3, only of a truncated normal), scale (2), opacity
+    /// (1), rgb (3).
     layers: Arc<Layer>,
     kind: StaticPosition,
     x_map: Vec<f32>,

@@ -1,8 +1,8 @@
 //! From one token per patch to one per 2×2 pixels.
 //!
-//! Two stages; in each a linear layer widens a token to four sub-tokens and writes them on a grid twice as fine (a
-//! pixel shuffle), and a pair of window blocks mixes them: the first with the windows as they are, the second rolled by
-//! half a window.
+//! There are two stages. In each a linear layer widens a token to four sub-tokens and writes them on a grid twice as
+//! fine (a pixel shuffle). Then a pair of window blocks mixes them: the first with the windows in place, the second
+//! with the windows rolled by half a window.
 
 use streamsplat_kernels::Level;
 
@@ -61,7 +61,7 @@ impl Upsampler {
             }
             columns *= 2;
             for (index, block) in stage.blocks.iter().enumerate() {
-                // To add zero again changes nothing.
+                // Adding zero again changes nothing.
                 if !pass.keeps() && index > 0 && block.is_zero_output() && stage.blocks[index - 1].is_zero_output() {
                     continue;
                 }

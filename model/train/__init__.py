@@ -1,1 +1,1 @@
-"""How the shipped checkpoint was made: `python -m train --help`."""
+"""Training of the shipped checkpoint: `python -m train --help`."""

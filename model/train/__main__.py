@@ -69,7 +69,7 @@ def train(o):
     fresh = state['stage'] != o.stage or state['done']
     stage = None if fresh else state
     before = state['before'] + state['spent'] if fresh else state['before']
-    if fresh:                                     # a stage that follows another starts with its own optimiser and the weights it finds
+    if fresh:                                     # a stage after another starts with the weights of that one and a new optimiser
         run.save(dict(state, before=before, spent=0.0))
     return getattr(stages, o.stage)(net, o, run, clips, stage)
 
@@ -78,7 +78,7 @@ SHARES = dict(static=0.3, flow=0.25, dynamic=0.45)
 
 
 def whole(o):
-    """Start, the stages, checkpoint and held-out figures; whatever of it is done already is left as it is."""
+    """Start, the stages, checkpoint and held-out figures. Finished parts are skipped."""
     if not (pathlib.Path(o.run) / 'state.pt').exists():
         begin(o)
     order = ['start', *SHARES]
@@ -125,7 +125,7 @@ def measure(o):
 
 
 def order(o):
-    """What depth there is: procedural scenes in order and from the side, and what other orders of compositing do to the pictures."""
+    """Measures depth: procedural scenes in order and from the side, and the effect of other compositing orders on the pictures."""
     net = opened(o)
     clips = [data.load_clip(f, net.config.resolution, o.cache) for f in data.clip_folders(pathlib.Path(o.clips) / o.split)]
     frames = torch.from_numpy(np.stack([c[len(c) // 2] for c in clips])).permute(0, 3, 1, 2).float() / 255
@@ -138,7 +138,7 @@ def order(o):
 
 
 def layer(o):
-    """Layering and fade into an existing checkpoint."""
+    """Writes layering and fade into an existing checkpoint."""
     net = network.open_official(o.model)
     clips = load_clips(o, net.config.resolution)
     pairs = data.Pairs(clips, o.seed, o.pairs, middle=1, procedural=0.3)

@@ -1,4 +1,4 @@
-"""A run's folder: what is needed to go on exactly where it stopped, its log and its curve."""
+"""A run's folder: the state from which it resumes exactly, its log and its curve."""
 import csv
 import json
 import os
@@ -24,7 +24,7 @@ class Run:
         os.replace(self.folder / 'state.tmp', self.folder / 'state.pt')
 
     def log(self, row):
-        """One line; columns that appear later are added to the file."""
+        """Writes one line; columns that appear later are added to the file."""
         path = self.folder / 'log.csv'
         rows = self.rows()
         columns = list(rows[0]) if rows else []

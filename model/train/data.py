@@ -1,6 +1,6 @@
 """Training data: real clips (a folder per clip, holding numbered images) and procedural scenes with true motion and depth.
 
-Every sample is a function of (seed, step, index in the batch) alone, so that a resumed run sees what an unbroken one would.
+Every sample is a function of (seed, step, index in the batch) alone, so a resumed run gets the same samples as an uninterrupted one.
 """
 import os
 import pathlib
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 cv2.setNumThreads(1)
-AROUND = np.ones((7, 7), np.uint8)     # pixels around one that `inner` of a scene from the side asks for
+AROUND = np.ones((7, 7), np.uint8)     # pixels around one that `inner` of a scene from the side requires
 _local = threading.local()
 
 
@@ -43,9 +43,9 @@ def coded_frame(frame, quality):
 
 
 def pack(source, target, size, limit):
-    """Writes the clips of source/train and source/val at `size` to `target`, in the layout that is read here, in at most `limit` bytes.
+    """Writes the clips of source/train and source/val at `size` to `target`, in the layout that `load_clip` reads, in at most `limit` bytes.
 
-    JPEG without chroma subsampling, of the highest quality of 95, 90, ... that fits. Returns what was written."""
+    JPEG without chroma subsampling, at the highest quality of 95, 90, ... that fits. Returns the number of clips, frames and bytes, and the quality."""
     clips = [(p.relative_to(source), load_clip(p, size)) for split in ('train', 'val') for p in clip_folders(source / split)]
     for quality in range(95, 45, -5):
         coded = [[coded_frame(f, quality) for f in clip] for _, clip in clips]
@@ -91,7 +91,7 @@ def colour_jitter(r, x):
 
 
 def magnify(r, frame):
-    """A part of `frame` at its size, 1.1 to 1.9 times larger: what a tile of a larger frame looks like.
+    """A part of `frame`, enlarged 1.1 to 1.9 times to the frame's size, like a tile of a larger frame.
 
     (Sharpness, as the amplitude of the finest octave of luma over that of the next, in medians: tiles of 512x288 frames of `val/` 0.86, frames of `train/`
     1.10, their parts 0.92 at 1.25 times and 0.83 at 1.5.)"""
@@ -105,8 +105,9 @@ def magnify(r, frame):
 class Frames:
     """Single frames for the static stage: batch(step) -> (float32 [B,3,H,W], place).
 
-    `magnified`: share of the frames of which a part is shown, magnified. With `crop` (rows, columns in patches of 8) every step shows one crop size of several frames, as if it lay at the token
-    `place` of the full grid: a random place for the position code, whatever place the pixels came from."""
+    `magnified`: share of the frames of which a magnified part is used. With `crop` (rows, columns in patches of 8) every step uses crops of one size of several
+    frames. A crop is treated as if it were at the token `place` of the full grid. The place is random for the position code, and independent of the pixels'
+    place."""
 
     def __init__(self, clips, seed, batch, crop=None, magnified=0.0):
         self.clips, self.seed, self.size, self.crop, self.magnified = clips, seed, batch, crop, magnified
@@ -138,7 +139,7 @@ class Pairs:
     """Key frames, middle frames and teacher motion: batch(step) -> dict of float32 arrays.
 
     rgb [B,2+K,H,W,3]->[B,2+K,3,H,W] (key 0, key 1, K middle ones), time [B,2+K], flow [B,2,2,H,W] in pixels (0 to 1 and 1 to 0),
-    sure [B,2,H,W] where the flow can be trusted, inverse depth [B,2,H,W], has_depth [B], foreground [B,2+K,H,W]."""
+    sure [B,2,H,W] where the flow is reliable, inverse depth [B,2,H,W], has_depth [B], foreground [B,2+K,H,W]."""
 
     def __init__(self, clips, seed, batch, middle=2, procedural=0.4, gaps=(2, 8)):
         self.frames = Frames(clips, seed, 1)
@@ -161,11 +162,11 @@ class Pairs:
                     depth=np.zeros((2, h, w), np.float32), has_depth=np.float32(0), foreground=np.zeros((len(frames), h, w), np.float32))
 
     def scene(self, r, turns=()):
-        """Textured layers at different depths under affine motion: a background wider than the picture and blobs before it.
+        """Textured layers at different depths under affine motion: a background wider than the picture and blobs in front of it.
 
-        Motion is a camera's (in proportion to inverse depth) plus each layer's own; nearer layers hide farther ones. `turned` are the key
-        frames [2, len(turns), H, W, 3] as a camera sees them that has been led around the mean distance of what is seen by `turns` degrees, `both` is 1 where
-        such a picture shows what the key frame shows too, and `inner` where it does so around a pixel, all of it on one layer."""
+        Motion is a camera's (in proportion to inverse depth) plus each layer's own; nearer layers hide farther ones. `turned` are the key frames [2,
+        len(turns), H, W, 3] from a camera turned by `turns` degrees around the mean distance of the visible surfaces. `both` is 1 where a turned picture shows
+        surfaces that the key frame also shows. `inner` is 1 where this holds around a pixel, all on one layer."""
         h, w = self.clips[0].shape[1:3]
         times = np.concatenate([[0, 1], np.sort(r.uniform(0.1, 0.9, self.middle))]).astype(np.float32)
         large = r.random() < 0.35
@@ -235,14 +236,14 @@ class Pairs:
                     depth=np.stack(depths).astype(np.float32), has_depth=np.float32(1), foreground=np.stack(foregrounds), **views)
 
     def still(self, step, k=0):
-        """One key frame of a procedural scene and what stands before its background: float32 [1,3,H,W], [1,H,W]. `k`: which of the step's scenes."""
+        """One key frame of a procedural scene and its foreground mask: float32 [1,3,H,W], [1,H,W]. `k`: which of the step's scenes."""
         r = np.random.default_rng([self.seed, step, (1 << 23) + k])
         s, key = self.scene(r), int(r.integers(2))
         rgb = colour_jitter(r, s['rgb'][key]).transpose(2, 0, 1)
         return np.ascontiguousarray(rgb[None], dtype=np.float32), s['foreground'][None, key]
 
     def turned(self, step, k, degrees):
-        """As `still`, with its inverse depth [1,H,W], the frame as a camera sees it that is led around it by `degrees`, and `inner` of `scene` there."""
+        """As `still`, with inverse depth [1,H,W], the frame from a camera turned around it by `degrees`, and `inner` of `scene` there."""
         r = np.random.default_rng([self.seed, step, (1 << 23) + k])
         s, key = self.scene(r, (degrees,)), int(r.integers(2))
         rgb = np.ascontiguousarray(colour_jitter(r, np.stack([s['rgb'][key], s['turned'][key, 0]])).transpose(0, 3, 1, 2), dtype=np.float32)

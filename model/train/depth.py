@@ -1,7 +1,7 @@
-"""Depth: what is measured of it on procedural scenes, and what a checkpoint needs whose depths are not all equal.
+"""Depth: measurements on procedural scenes, and changes to checkpoints whose depths are not all equal.
 
-`y` is normalised inverse depth, larger is nearer. A rendering gives the mean distance of what a pixel shows; one over it is the pixel's
-nearness, an increasing affine function of `y` where one depth is seen.
+`y` is normalised inverse depth, larger is nearer. A rendering returns the mean distance at a pixel; one over it is the pixel's nearness. Where only one depth
+is visible, nearness is an increasing affine function of `y`.
 """
 import cv2
 import numpy as np
@@ -12,18 +12,18 @@ from . import data
 from .losses import psnr
 from .rasteriser import at_times, render, render_pair, render_static, render_turned
 
-VALIDATION = 1 << 30       # seeds the scenes that are measured; training draws its samples from (seed, step, place in the batch)
-EQUAL = 1e-3               # two pixels are as near as each other when their nearness differs by less than this share
-STEP = 0.05                # of the argument of y's tanh while it trains: from one Gaussian of a patch to the next
-UNEVEN = 0.3               # weight of what is uneven beside what is misplaced (`lean_loss`)
-STANDS = 0.5               # of the same argument: how far before and behind the middle foreground and background shall stand
-RELIEF = 0.3               # what is left of all this when the stage ends: order is the same at any scale
-APART = 0.15               # of the inverse-depth range: how far the second frame lies behind the first, 20 of the steps that are left
-MARGIN = 0.1               # of the frame a token is of, told as -1 and 1: less and the gate of `come_forward` would not be shut
+VALIDATION = 1 << 30       # seed of the measured scenes; training draws its samples from (seed, step, place in the batch)
+EQUAL = 1e-3               # two pixels are equally near when their nearness differs by less than this share
+STEP = 0.05                # of the argument of y's tanh in training: from one Gaussian of a patch to the next
+UNEVEN = 0.3               # weight of `uneven` against `misplaced` in `lean_loss`
+STANDS = 0.5               # of the same argument: target of foreground and background in front of and behind the middle
+RELIEF = 0.3               # factor on all of this when the stage ends: order is the same at any scale
+APART = 0.15               # of the inverse-depth range: distance of the second frame behind the first, 20 of the remaining steps
+MARGIN = 0.1               # least margin of a token's frame flag, -1 or 1: below it the gate of `come_forward` would not close
 
 
 def nearness(image, transmittance):
-    """[.., H, W] of a rendering [.., 4, H, W]: one over the mean distance of what is seen; 0 where nothing is."""
+    """[.., H, W] of a rendering [.., 4, H, W]: one over the mean distance of the visible surfaces; 0 where there are none."""
     return (1 - transmittance) / image[..., 3, :, :].clamp_min(1e-6)
 
 
@@ -35,7 +35,7 @@ def ordered(near, foreground, background, r, pairs=2000):
 
 
 def order_of_scenes(near_of, clips, scenes):
-    """How well `near_of` (frames [2,3,H,W] of a pair -> nearness [2,H,W]) orders foreground before background.
+    """Measures how well `near_of` (frames [2,3,H,W] of a pair -> nearness [2,H,W]) orders foreground in front of background.
 
     -> dict: `pixels`, the mean share of pixel pairs in order; `frames`, the share of key frames with more than half in order; `count` of them.
     Scenes are textured from `clips` and depend on nothing else; those without a foreground are left out."""
@@ -54,20 +54,20 @@ def order_of_scenes(near_of, clips, scenes):
 
 @torch.no_grad()
 def rendered_nearness(net, frames):
-    """Of both key frames of a pair, as the pair is rendered at its two ends."""
+    """Nearness of both key frames of a pair, rendered at the pair's two ends."""
     h, w = net.config.resolution
     image, transmittance = render_pair(net(frames), torch.tensor([[0.0, 1.0]]), h, w, torch.full((1, 2, 3), 0.5))
     return nearness(image, transmittance)[0].numpy()
 
 
 def lower_is_nearer(frames):
-    """What the position in the picture says alone: the baseline that takes no look."""
+    """Nearness from the position in the picture alone: the baseline that ignores the pixels."""
     h, w = frames.shape[-2:]
     return np.broadcast_to(np.arange(1.0, h + 1)[:, None], (len(frames), h, w))
 
 
 def turned_on_its_plane(image, degrees):
-    """[H, W, 3] as a camera sees it that is led around its middle: what flat depth gives."""
+    """[H, W, 3] from a camera turned around its middle: the view at flat depth."""
     h, w = image.shape[:2]
     c = np.cos(np.radians(degrees))
     return cv2.warpAffine(image, np.array([[c, 0, (1 - c) * (w - 1) / 2], [0, 1, 0]]), (w, h), flags=cv2.INTER_LINEAR)
@@ -75,10 +75,12 @@ def turned_on_its_plane(image, degrees):
 
 @torch.no_grad()
 def turned_scenes(net, clips, scenes, degrees=10.0):
-    """PSNR (dB) beside true views of procedural scenes from a camera led around them by `degrees` to both sides, where they show what the key frame shows.
+    """PSNR (dB) against true views of procedural scenes from a camera turned around them by `degrees` to both sides, where these show surfaces of the key
+    frame.
 
-    -> dict: `views`, the network's Gaussians from there; `flat`, its picture of the key frame turned on its plane; `true_flat`, the key frame turned on
-    its plane; `untouched`, the key frame as it is; `count` of views. The pivot is the mean distance of what is seen, in the scene and in the network's alike."""
+    -> dict: `views`, the network's Gaussians from there; `flat`, its picture of the key frame turned on its plane; `true_flat`, the key frame turned on its
+    plane; `untouched`, the key frame itself; `count` of views. The pivot is the mean distance of the visible surfaces, in the scene and in the network's
+    Gaussians."""
     h, w = net.config.resolution
     source = data.Pairs(clips, VALIDATION, 1, middle=1)
     sums, count = {}, 0
@@ -107,10 +109,10 @@ def turned_scenes(net, clips, scenes, degrees=10.0):
 
 @torch.no_grad()
 def keep_frames_apart(net, step=APART):
-    """One depth velocity for all Gaussians: the second frame lies `step` behind the first at every time of the interval.
+    """Sets one depth velocity for all Gaussians: the second frame is `step` behind the first at every time of the interval.
 
-    At time t the first frame has moved by step * t and the second by step * (t - 1). Order inside a frame stays as it is. Where depths differ by
-    less than `step` the pair is composited as with equal depths: the first frame in front. What `come_forward` wrote is taken out."""
+    At time t the first frame has moved by step * t and the second by step * (t - 1). The order inside a frame does not change. Where depths differ by less than
+    `step` the pair is composited as with equal depths: the first frame in front. Changes by `come_forward` are removed."""
     one, two, out = (net.gs_dynamic_predictor.gs_layer['xyz_dynamic'].layers[k] for k in '147')
     v = int(out.weight[1].abs().argmax())
     if out.weight[1].count_nonzero() == 1 and two.weight[v].count_nonzero() == 1:
@@ -125,11 +127,11 @@ def keep_frames_apart(net, step=APART):
 
 @torch.no_grad()
 def come_forward(net, frames, step=APART, margin=MARGIN):
-    """Depth velocity 0 for the first frame and `step` for the second, which so comes forward from behind: what is followed keeps its depth.
+    """Sets depth velocity 0 for the first frame and `step` for the second, which comes forward from behind: so followed points keep their depth.
 
-    One hidden unit of each layer of the motion head (those that matter least on `frames`, pairs next to each other) opens for the second frame alone: the first
-    reads the frame's flag off the tokens by least squares, far enough that the unit is 0 to the bit where it is shut. Returns the least distance of
-    a token from the wrong side; under `margin` nothing is written. It has to be done last: training would move it."""
+    One hidden unit of each layer of the motion head opens only for the second frame (the units that matter least on `frames`, pairs next to each other). The
+    first unit reads the frame's flag from the tokens by least squares, with a gain at which a closed unit is 0 to the bit. Returns the least distance of a
+    token from the wrong side; under `margin` nothing is written. This must be the last step: training would change it."""
     e = net.encode(frames)
     _, token = net.static(e)
     x = torch.cat([net.encoder_proj(token), net.gaussian_upsampler(net.decoder.transformer_decoder(e))], -1)
@@ -161,13 +163,13 @@ def position_layer(net):
 
 
 def lean():
-    """[4, 4]: how much nearer than its patch each Gaussian of a patch is, in the order of storage."""
+    """[4, 4]: nearness of each Gaussian of a patch relative to its patch, in the order of storage."""
     return STEP * (7.5 - torch.arange(16.0).view(4, 4))
 
 
 @torch.no_grad()
 def least_missed(net, frames):
-    """(channel of the first, of the second stage of the static upsampler) that the pictures of `frames` miss least."""
+    """Channels of the first and the second stage of the static upsampler whose loss changes the pictures of `frames` least."""
     up, (h, w) = net.gs_predictor.gaussian_upsampler, net.config.resolution
     e = net.encode(frames)
 
@@ -185,11 +187,10 @@ def least_missed(net, frames):
 
 @torch.no_grad()
 def write_lean(net, frames):
-    """What y needs before it can learn: patches that lean, so that neighbours keep an order that pictures can be learnt in.
+    """Prepares y for training: makes patches lean, so that neighbours keep their order while pictures are learnt.
 
-    One channel of each stage of the static upsampler (those that `frames` miss least) holds the place in the patch, and y reads the last one alone. To the
-    first stage's channel training adds what it finds of depth; from there on the way to y is fixed (`kept_lean`). A network that has depth
-    already is scaled back to where it trains."""
+    One channel of each stage of the static upsampler (`least_missed`) holds the place in the patch, and y reads only the last one. Training adds depth to the
+    first stage's channel; the path from there to y is fixed (`kept_lean`). A network that already has depth is scaled back to the training scale."""
     layer = position_layer(net)
     if layer.weight[1].any():
         layer.weight[1] /= RELIEF
@@ -218,7 +219,7 @@ def write_lean(net, frames):
 
 
 def kept_lean(net):
-    """Hooks that leave the way from the first stage's channel to y as `write_lean` wrote it."""
+    """Hooks that keep the path from the first stage's channel to y as `write_lean` wrote it."""
     layer, up = position_layer(net), net.gs_predictor.gaussian_upsampler
     c = int(layer.weight[1].abs().argmax())
 
@@ -237,18 +238,18 @@ def kept_lean(net):
 
 @torch.no_grad()
 def settle(net):
-    """Depth as it trained, brought to the scale at which it is kept."""
+    """Scales trained depth to the final scale."""
     layer = position_layer(net)
     layer.weight[1] *= RELIEF
     layer.bias[1] *= RELIEF
 
 
 def lean_loss(y, splat_grid, front):
-    """How far y [B, N] is from patches that lean and stand where they should: (uneven, misplaced).
+    """Distance of y [B, N] from the target lean and the target depth of patches: (uneven, misplaced).
 
-    `uneven`: the mean square by which Gaussians miss their place in their patch, in steps. `misplaced`: that by which the patches of the last
-    len(front) frames miss STANDS where `front` [.., H, W] is 1 and -STANDS where it is 0, in parts of it. Both sides of a frame count alike, so what is
-    uncertain stands in between; frames with one side only do not count."""
+    `uneven`: mean squared error of Gaussians against their place in their patch, in steps. `misplaced`: mean squared error of the patches of the last
+    len(front) frames against STANDS where `front` [.., H, W] is 1 and -STANDS where it is 0, relative to STANDS. Foreground and background of a frame have
+    equal weight, so uncertain patches end up in between; frames with only one of both do not count."""
     o = torch.atanh((2 * y - 1).clamp(-0.999, 0.999)).unflatten(1, (splat_grid[0] // 4, 4, splat_grid[1] // 4, 4))
     rest = o - lean()[:, None, :].to(o)
     patch = rest.mean((2, 4))
@@ -264,7 +265,7 @@ ORDERS = ('storage', 'lowest row first', 'rightmost first in each row', 'patches
 
 
 def keys_of(order, grid, generator):
-    """Sorting keys [N] of a frame's Gaussians on the splat grid `grid`: what is smaller is in front."""
+    """Sorting keys [N] of a frame's Gaussians on the splat grid `grid`: the smaller is in front."""
     rows, columns = torch.meshgrid(torch.arange(float(grid[0])), torch.arange(float(grid[1])), indexing='ij')
     inside = (rows % 4) * 4 + columns % 4
     chance = torch.rand(grid, generator=generator)

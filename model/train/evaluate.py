@@ -1,7 +1,7 @@
-"""Held-out figures of a checkpoint: PSNR and SSIM of key and middle frames, against three interpolations that know no scene.
+"""Held-out figures of a checkpoint: PSNR and SSIM of key and middle frames, against three interpolations without a scene.
 
-Truth is the clip at the model's resolution (area averaging); both are then resized bilinearly to 256x256. `streamsplat eval` is the
-program's own measurement; this one exists to steer training and to have the optical-flow baseline beside it.
+Truth is the clip at the model's resolution (area averaging); both are then resized bilinearly to 256x256. `streamsplat eval` is the program's own measurement.
+This one serves training, and adds the optical-flow baseline.
 """
 import json
 

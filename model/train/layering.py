@@ -1,12 +1,11 @@
-"""Which frame's Gaussians lie in front: those of the frame that is nearer in time.
+"""Puts the Gaussians of the frame that is nearer in time in front.
 
-A pair draws both frames' Gaussians. With all of them at one depth and opacities that fade linearly, the middle of an interval is two
-half-transparent pictures over each other, and a half-transparent layer is also a blurred one: its splats stop hiding their
-neighbours. So nothing fades early. Instead the depth velocity, -s for the first frame and +s for the second, puts the frame that is
-nearer in time in front and leaves the other behind it, where it shows only in the holes that motion tears. The head's tanh
-saturates, so that every Gaussian of a frame gets the very same value: their order among each other is their order of storage, and
-that order must not change (order noise among overlapping neighbours costs 4 dB). `s` is small (0.002 of the inverse-depth
-range, by way of the checkpoint's `dynamic_scalar`): it orders the layers and moves nothing visibly.
+A pair draws both frames' Gaussians. With all of them at one depth and opacities that fade linearly, the middle of an interval is two half-transparent pictures
+over each other. A half-transparent layer is also blurred: its splats stop hiding their neighbours. So nothing fades early. Instead the depth velocity, -s for
+the first frame and +s for the second, puts the frame that is nearer in time in front. The other is visible only in the holes that motion opens. The head's tanh
+saturates, so every Gaussian of a frame gets the same value. Their order is then the order of storage, which must not change: order noise among overlapping
+neighbours costs 4 dB. `s` is small (0.002 of the inverse-depth range, by way of the checkpoint's `dynamic_scalar`): it orders the layers and moves nothing
+visibly.
 """
 import math
 
@@ -41,7 +40,7 @@ def write_layering(net, frames, gain=40.0):
     use = lambda act, w: act.std(0) * w.norm(dim=0)
     i = use(first, layers['4'].weight).argsort()[:2]
     j = use(second, layers['7'].weight[[0, 2]]).argsort()[:2]
-    # what the overwritten units gave on average stays
+    # the mean contribution of the overwritten units is kept
     layers['4'].bias += layers['4'].weight[:, i] @ first.mean(0)[i]
     layers['7'].bias += layers['7'].weight[:, j] @ second.mean(0)[j]
     layers['4'].weight[:, i] = 0
@@ -58,7 +57,7 @@ def write_layering(net, frames, gain=40.0):
 
 @torch.no_grad()
 def write_fade(net, sharpness, half_life, learned=0.0):
-    """gamma = (sharpness, half_life) everywhere; `learned` keeps that share of what the head adds by itself."""
+    """gamma = (sharpness, half_life) everywhere; `learned` keeps that share of the head's own output."""
     last = net.gs_dynamic_predictor.gs_layer['opacity_dynamic'].layers['7']
     last.weight.mul_(learned)
     last.bias.copy_(torch.tensor([sharpness, math.log(half_life / (1 - half_life))]))

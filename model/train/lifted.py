@@ -1,7 +1,7 @@
-"""Views from the side of Gaussians lifted to a known depth, as `engine/src/stream/lift` lifts them where no edge of depth is near.
+"""Views from the side of Gaussians lifted to a known depth, by the rules of `engine/src/stream/lift` away from depth edges.
 
-Each Gaussian takes the depth of the surface at its centre, and neighbours on one surface keep the order of their y by as much room
-between them as it takes that a camera turned by up to 10° draws them in that order.
+Each Gaussian takes the depth of the surface at its centre. Neighbours on one surface keep the order of their y: they are moved apart until a camera turned by
+up to 10° draws them in that order.
 """
 import math
 
@@ -15,7 +15,7 @@ SLOPE, WIDE, SURFACE, ROUNDS = 0.18, 2.0, 2.0, 16      # of the engine's lift/or
 TEAR = 11.5                                            # of lift/edges.rs: z apart at an edge, times pixels of a row
 LARGEST = 4.0                                          # standard deviation in pixels
 NARROWER, THIN = 0.95, 0.5                             # of lift/mod.rs
-NEIGHBOURS = 3                                         # cells of the splat grid around a Gaussian that are looked at
+NEIGHBOURS = 3                                         # cells of the splat grid around a Gaussian that are compared
 
 
 def depth_of(y):
@@ -34,8 +34,8 @@ def around(x, fill):
 
 @torch.no_grad()
 def kept_order(u, v, sigma, z, rank, width):
-    """z [B, R, C] with room between neighbours on one surface; u, v: centres and sigma: standard deviations in pixels of a picture of
-    `width`, rank: y of the network, of which the larger is in front, the earlier in storage where two are equal."""
+    """z [B, R, C] with neighbours on one surface moved apart; u, v: centres and sigma: standard deviations in pixels of a picture of
+    `width`, rank: y of the network, the larger is in front, of equal ones the earlier in storage."""
     own, sigma = lambda x: x[..., None, None], sigma.clamp(max=LARGEST)
     apart = torch.hypot(around(u, 0.0) - own(u), around(v, 0.0) - own(v))
     near = (apart <= WIDE * (own(sigma) + around(sigma, 0.0))) & ((around(z, math.inf) - own(z)).abs() <= SURFACE * TEAR / width)
@@ -50,7 +50,7 @@ def kept_order(u, v, sigma, z, rank, width):
 
 
 def lifted(g, depth, splat_grid):
-    """Gaussians `g` of frames, one per cell of the splat grid, on the surfaces whose y is `depth` [B, H, W]. Positions pull, depths do not."""
+    """Gaussians `g` of frames, one per cell of the splat grid, on the surfaces whose y is `depth` [B, H, W]. Positions have gradients, depths do not."""
     H, W = depth.shape[1:]
     x, y, z = g['xyz'].detach().unbind(-1)
     u, v = ((x + 1) * W - 1) * 0.5, ((1 - z) * H - 1) * 0.5
@@ -64,8 +64,8 @@ def lifted(g, depth, splat_grid):
 
 
 def lifted_loss(g, depth, key, turned, inner, background, degrees, splat_grid, steps, kernels=None):
-    """(loss, figures) of lifted Gaussians whose colours are fitted to the key frame `key` [B,3,H,W], from its camera and from the
-    side, where `inner` [B,H,W] says that `turned` shows one surface that the key frame shows too. Fitted colours are constants."""
+    """(loss, figures) of lifted Gaussians whose colours are fitted to the key frame `key` [B,3,H,W], from its camera and from the side, where `inner` [B,H,W]
+    is 1: there `turned` shows one surface that the key frame also shows. Fitted colours are constants."""
     H, W = key.shape[-2:]
     g = lifted(g, depth, splat_grid)
     front, rgb = render_fitted(g, key, background, steps, kernels)

@@ -1,12 +1,12 @@
-"""What is minimised. Images are [.., 3, H, W] in [0, 1]."""
+"""Losses. Images are [.., 3, H, W] in [0, 1]."""
 import torch
 import torch.nn.functional as F
 
 
 def log_error(image, truth, floor=1e-4):
-    """Mean over images of log(MSE + floor): the figure that is reported is a mean of PSNRs, so every image counts alike.
+    """Mean over images of log(MSE + floor). The reported figure is a mean of PSNRs, so every image has equal weight.
 
-    Under `floor` (40 dB) an image is good enough and stops pulling."""
+    Under `floor` (40 dB) an image is good enough and its gradient vanishes."""
     return torch.log((image - truth).pow(2).mean((-3, -2, -1)) + floor).mean()
 
 
@@ -22,15 +22,15 @@ def gradient_l1(image, truth):
     return (d[..., 1:] - d[..., :-1]).abs().mean() + (d[..., 1:, :] - d[..., :-1, :]).abs().mean()
 
 
-LOCAL = 4.0    # cells of the splat grid: the widest that a Gaussian may be
+LOCAL = 4.0    # cells of the splat grid: the largest scale of a Gaussian
 
 
 def kept_local(g, splat_grid, weight=20.0):
     """(Gaussians whose scales end at LOCAL cells, the loss weight * mean log(1 + max(0, scale / limit - 1)) of the scales as they were).
 
-    Depths are equal while the static half trains, so array order decides what is in front: without a limit the last row grows into an
-    opaque backdrop that all others hide, and that covers the scene from any other camera. The picture is made of the limited scales, so
-    nothing is gained by passing the limit; the loss brings back what has passed it."""
+    Depths are equal while the static half trains, so array order decides what is in front. Without a limit the last row grows into an opaque backdrop, which
+    all others hide and which covers the scene from any other camera. The picture uses the limited scales, so passing the limit gains nothing; the loss brings
+    larger scales back."""
     most = LOCAL * 2 / splat_grid[1]
     excess = F.relu(g['scale'] / most - 1)
     return dict(g, scale=g['scale'].clamp(max=most)), weight * torch.log1p(excess).mean()
@@ -39,7 +39,7 @@ def kept_local(g, splat_grid, weight=20.0):
 def splat_flow(flow, sure, splat_grid):
     """Pixel flow [B,2,2,H,W] -> velocity target (x, z) [2B,N,2] in world units per interval on the splat grid, and its weight [2B,N].
 
-    Frame 1 sits at the interval's end, so its velocity points the other way."""
+    Frame 1 is at the interval's end, so its velocity points the other way."""
     h, w = flow.shape[-2:]
     k = h // splat_grid[0]
     v = F.avg_pool2d(flow.flatten(0, 1), k).flatten(2).transpose(1, 2) * flow.new_tensor([2 / w, -2 / h])
@@ -48,7 +48,7 @@ def splat_flow(flow, sure, splat_grid):
 
 
 def end_point_error(velocity, target, weight, size, limit=60.0):
-    """Mean robust distance in pixels where the teacher is sure and not absurd; and what no motion at all would score."""
+    """Mean robust distance in pixels where the teacher is sure and within `limit`; and the same of no motion."""
     px = velocity.new_tensor([size[1] / 2, size[0] / 2])
     error = ((velocity[..., [0, 2]] - target) * px).pow(2).sum(-1).add(0.01).sqrt()
     reach = (target * px).norm(dim=-1)

@@ -1,4 +1,4 @@
-"""The network under its official parameter names, so that `state_dict()` is a checkpoint (prefix `model.` apart).
+"""The network under its official parameter names, so that `state_dict()` is a checkpoint (except for the prefix `model.`).
 
 Frames are `[2B, 3, H, W]` in [0, 1] with the two frames of a pair adjacent; every per-frame quantity is `[2B, ...]`.
 """
@@ -10,7 +10,7 @@ import torch
 import torch.nn as nn
 import torch.nn.functional as F
 
-EPS = 1e-3                                # the truncated normal lives on [-1 + EPS, 1 - EPS]
+EPS = 1e-3                                # the truncated normal is on [-1 + EPS, 1 - EPS]
 
 
 @dataclass
@@ -67,7 +67,7 @@ class Branch(nn.Module):
 
     @property
     def zero_output(self):
-        """Contributes exactly nothing and is not being trained: its product need not be computed."""
+        """True if the branch adds exactly zero and is not trained: its product need not be computed."""
         if self.last.weight.requires_grad:
             return False
         if not hasattr(self, '_zero_output'):
@@ -168,7 +168,7 @@ class FrameEncoder(nn.Module):
         return self.conv(rgbd).flatten(2).transpose(1, 2)
 
     def forward(self, rgbd, place=(0, 0)):
-        """`place`: token row and column of the full grid at which a smaller crop is supposed to lie."""
+        """`place`: token row and column of the full grid at which a smaller crop is placed."""
         h, w = rgbd.shape[2] // self.conv.kernel_size[0], rgbd.shape[3] // self.conv.kernel_size[1]
         index = ((torch.arange(h, device=rgbd.device) + place[0])[:, None] * self.columns + torch.arange(w, device=rgbd.device) + place[1]).flatten()
         x = self.layernorm1(self.tokens(rgbd) + self.positional_encoding.pe[index])
@@ -368,7 +368,7 @@ class StreamSplat(nn.Module):
 
 
 def load_official(net, entries):
-    """Takes a state dict with official names and either prefix; keys the network lacks are an error, spare ones are not."""
+    """Takes a state dict with official names and either prefix; missing keys are an error, extra ones are not."""
     own, out = net.state_dict(), {}
     for k, v in entries.items():
         for prefix in ('model._orig_mod.', 'model.'):
@@ -393,8 +393,8 @@ def branches(net):
 
 @torch.no_grad()
 def zero_small_branches(net, least):
-    """Zeroes the output projections of residual branches (weight and bias all smaller than `least`): they add next to nothing, and the
-    engine leaves out a branch that adds nothing at all. Returns the names."""
+    """Zeroes the output projections of residual branches whose weights and biases are all smaller than `least`. They add almost nothing, and the engine skips
+    branches that add exactly zero. Returns the names."""
     quiet = [(name, last) for name, last, size in branches(net) if size < least]
     for _, last in quiet:
         for p in last.parameters():
@@ -403,7 +403,7 @@ def zero_small_branches(net, least):
 
 
 def save_official(net, path, dtype=torch.float16):
-    """Writes `path` (safetensors, prefix `model.`) and `path` with .json: what the shapes cannot say."""
+    """Writes `path` (safetensors, prefix `model.`), and `path` with .json: the settings that shapes do not determine."""
     from safetensors.torch import save_file
     c = net.config
     save_file({'model.' + k: v.detach().cpu().to(dtype).contiguous() for k, v in net.state_dict().items()}, str(path))

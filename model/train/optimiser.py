@@ -1,8 +1,8 @@
 """One optimiser for matrices and for everything else.
 
-Matrices that live between other layers take steps of equal size in all their directions (Muon: momentum, then the nearest semi-orthogonal
-matrix); gains, biases and the small output layers take Adam's. Per-weight steps leave the upsampler where it starts: the analytic
-start is a sum of strong and faint directions, and Adam's step follows the strong ones.
+Matrices between other layers take steps of equal size in all their directions (Muon: momentum, then the nearest semi-orthogonal matrix). Gains, biases and the
+small output layers take Adam's steps. With per-weight steps the upsampler does not leave its start: the analytic start is a sum of strong and faint directions,
+and Adam's step follows the strong ones.
 """
 import torch
 
@@ -20,7 +20,7 @@ def orthogonal(g, steps=5):
 
 
 class Mixed(torch.optim.Optimizer):
-    """Groups of kind `adam` (default) or `matrix`; `parts`: a stored matrix that is so many matrices on top of each other."""
+    """Groups of kind `adam` (default) or `matrix`; `parts`: the number of matrices stacked in one stored matrix."""
 
     def __init__(self, groups):
         super().__init__(groups, dict(lr=1e-3, kind='adam', parts=1, momentum=0.95, betas=(0.9, 0.98), eps=1e-10))

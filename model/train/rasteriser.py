@@ -4,7 +4,7 @@ import math
 import torch
 from streamsplat_cpu._streamsplat import Planes
 
-# α is lowered to this, as in the images that the engine draws.
+# α is limited to this, as in the images that the engine draws.
 LARGEST_ALPHA = 0.99
 
 
@@ -13,7 +13,7 @@ class Splat(torch.autograd.Function):
 
     @staticmethod
     def paint(P, values, key, background, H, W, lists=None):
-        """(image, T, what was drawn, the lists of the splats): without gradients."""
+        """(image, T, the rasteriser's image and alpha, lists of the splats), without gradients."""
         P, values, key, background = (t.detach().numpy() for t in (P, values, key, background))
         lists = lists or Planes(P, key, W, H, LARGEST_ALPHA)
         drawn = lists.draw(values, background)
@@ -41,7 +41,7 @@ class Splat(torch.autograd.Function):
 
 
 def _splat_class(P, kernels):
-    """`kernels`: 'cpu' or 'triton'; by default what the tensors' device asks for."""
+    """`kernels`: 'cpu' or 'triton'; by default the one for the tensors' device."""
     if (kernels or ('triton' if P.is_cuda else 'cpu')) == 'cpu':
         return Splat
     from .rasteriser_triton import SplatTriton
@@ -54,9 +54,9 @@ def splat(P, values, key, background, H, W, kernels=None):
 
 @torch.no_grad()
 def fitted_colours(P, rgb, key, background, target, steps, ridge=1e-3, limits=(-0.2, 1.2), kernels=None):
-    """Colours [M,N,3] whose image comes nearest to `target` [M,3,H,W], geometry and order fixed: the fit that the engine makes of a key frame.
+    """Colours [M,N,3] whose image is nearest to `target` [M,3,H,W], with geometry and order fixed: the engine's fit to a key frame.
 
-    `steps` conjugate gradients from `rgb`, which the ridge keeps them near to, preconditioned by the row sums of the matrix."""
+    `steps` steps of conjugate gradients from `rgb`, preconditioned by the row sums of the matrix. The ridge keeps colours near `rgb`."""
     kind, (H, W) = _splat_class(P, kernels), target.shape[-2:]
     P, key, zero = P.contiguous().float(), key.contiguous().float(), torch.zeros_like(background)
     wide = lambda c, last: torch.cat([c, torch.full_like(c[..., :1], last)], -1).contiguous()
@@ -97,8 +97,8 @@ def projected(xyz, scale, opacity, H, W, offset=(0, 0)):
 def render(xyz, scale, opacity, rgb, H, W, background, full=None, offset=(0, 0), kernels=None, order=None):
     """World-space Gaussians [M,N,.] in the canonical camera -> image [M,4,H,W] (r, g, b, depth), transmittance [M,H,W].
 
-    `full` (rows, columns) and `offset` (row, column) cut a window out of a larger image; y is normalised inverse depth. `order` [M,N]
-    takes the place of depth as what Gaussians are sorted by."""
+    `full` (rows, columns) and `offset` (row, column) cut a window out of a larger image; y is normalised inverse depth. Gaussians are sorted by `order` [M,N]
+    instead of depth where it is set."""
     P, depth = projected(xyz, scale, opacity, *(full or (H, W)), offset)
     values = torch.cat([rgb, depth[..., None]], -1)
     return splat(P, values, depth.detach() if order is None else order, torch.cat([background, torch.zeros_like(background[:, :1])], 1), H, W, kernels)
@@ -111,7 +111,7 @@ def render_static(g, H, W, background, full=None, offset=(0, 0), kernels=None):
 def render_fitted(g, target, background, steps, kernels=None):
     """Whole frames with colours fitted to `target` [M,3,H,W] (`fitted_colours`) -> image [M,3,H,W], the colours [M,N,3].
 
-    The fitted colours are constants: where the squared error is least in them, their own change adds nothing to its gradient."""
+    The fitted colours are constants: at the least squared error, their own change adds nothing to its gradient."""
     H, W = target.shape[-2:]
     P, depth = projected(g['xyz'], g['scale'], g['opacity'][..., 0], H, W)
     rgb = fitted_colours(P, g['rgb'].detach(), depth, background, target, steps, kernels=kernels)
@@ -139,7 +139,7 @@ def render_pair(g, times, H, W, background, kernels=None):
 
 
 def render_turned(xyz, scale, opacity, rgb, H, W, background, degrees, pivot, thickness=1.0, kernels=None):
-    """As `render`, by an orthographic camera that is led around the vertical line through the optical axis at distance `pivot` [M]; the scale
+    """As `render`, by an orthographic camera turned around the vertical line through the optical axis at distance `pivot` [M]; the scale
     along the optical axis is `thickness` times the mean of the two others."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     y = xyz[..., 1]

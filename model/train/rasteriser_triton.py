@@ -1,6 +1,6 @@
 """The rasteriser of rasteriser.py as Triton kernels: the engine's rules, a list of splats per tile, the same sums in the same order in every run.
 
-Runs on CUDA; with TRITON_INTERPRET=1 in the environment also on CPU tensors, slowly, which is how it is tested where there is no GPU.
+Runs on CUDA; with TRITON_INTERPRET=1 in the environment also on CPU tensors, slowly. This is for tests without a GPU.
 """
 import torch
 import triton
@@ -13,7 +13,7 @@ SUMS = 9                                   # per splat and tile: u, v, var_x, va
 
 
 def tile_lists(P, key, H, W):
-    """Which splats touch which tile, in depth order.
+    """Splats of each tile, in depth order.
 
     Returns (entries, slots, starts, first, count): `entries[starts[k] : starts[k + 1]]` are the splats (row of the flattened [M N])
     of tile k = (m · tile rows + row) · tile columns + column, front to back; `slots` numbers the same pairs by splat, those of splat s
@@ -136,7 +136,7 @@ def _backward(P, V, background, entries, slots, starts, T_end, last, G, sums, H,
 
 @triton.jit
 def _gather(P, first, count, sums, gP, gV, total, most, SPLATS: tl.constexpr, GEOMETRY: tl.constexpr):
-    """Adds up what the tiles found of each splat, always in the same order."""
+    """Adds up the tiles' sums of each splat, always in the same order."""
     s = tl.program_id(0) * SPLATS + tl.arange(0, SPLATS)
     real = s < total
     at, n = tl.load(first + s, real, 0), tl.load(count + s, real, 0)
@@ -175,7 +175,7 @@ class SplatTriton(torch.autograd.Function):
 
     @staticmethod
     def paint(P, values, key, background, H, W, lists=None):
-        """(image, T, last, lists): without gradients; `lists` of an earlier call with the same P and key spare their making."""
+        """(image, T, last, lists), without gradients; `lists` of an earlier call with the same P and key are reused."""
         M, columns, rows = len(key), -(-W // TILE), -(-H // TILE)
         if lists is None:
             lists = tile_lists(P, key, H, W)
@@ -187,7 +187,7 @@ class SplatTriton(torch.autograd.Function):
 
     @staticmethod
     def pull(P, values, background, T, last, lists, G, geometry=True):
-        """The gradients (of P, of values) under G [M,4,H,W]; without `geometry` the first is not worked out."""
+        """The gradients (of P, of values) under G [M,4,H,W]; without `geometry` the first is not computed."""
         entries, slots, starts, first, count, most = lists
         (M, N), (H, W) = P.shape[:2], T.shape[1:]
         columns, rows = -(-W // TILE), -(-H // TILE)

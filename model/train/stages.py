@@ -1,7 +1,7 @@
-"""The stages of training. Each is a function from (network, settings, run) that can stop and go on at any step.
+"""The stages of training. Each is a function of (network, settings, run) that can stop and resume at any step.
 
 static    upsampler and head on single frames (the encoder is the exact extractor of start.py; `--encoder` frees it)
-heads     the deformation heads alone, on tokens of pairs that are worked out once, rendered at one key time and two between
+heads     the deformation heads alone, on tokens of pairs that are computed once, rendered at one key time and two between
 flow      decoder, deformation upsampler and velocity head against flow alone, each tensor at a rate from its sensitivity; nothing is rendered
 dynamic   the same tensors and rates, and the opacity head, rendered at both key times and at times between
 """
@@ -19,9 +19,9 @@ from .rasteriser import render_fitted, render_pair, render_static
 
 
 class Progress:
-    """How much of a stage is done: by steps (exactly repeatable) or by a time budget in minutes (whichever is given).
+    """Progress of a stage, by steps (exactly repeatable) or by a time budget in minutes, whichever is set.
 
-    Time is counted while this process is alive; a process that was stopped and continued has spent the time in between."""
+    Time counts while this process is alive; a process that was suspended and continued has spent the time in between."""
 
     def __init__(self, steps, minutes):
         if not steps and not minutes:
@@ -41,7 +41,7 @@ class Progress:
 
 
 def tensors(batch, device):
-    """A batch of numpy arrays where the network is."""
+    """A batch of numpy arrays as tensors on the network's device."""
     return {k: torch.from_numpy(v).to(device) for k, v in batch.items()}
 
 
@@ -54,15 +54,15 @@ class _Made(torch.utils.data.Dataset):
 
 
 def ahead(make, first, workers, device):
-    """make(first), make(first + 1), … as tensors: `workers` processes make them ahead of time; without any, here and when they are asked for."""
+    """make(first), make(first + 1), … as tensors: `workers` processes compute them ahead of time; without workers they are computed here, on demand."""
     loader = torch.utils.data.DataLoader(_Made(make), batch_size=None, sampler=itertools.count(first), num_workers=workers, pin_memory=device.type == 'cuda',
                                          prefetch_factor=4 if workers else None, multiprocessing_context='fork' if workers else None)
     return iter(loader)
 
 
 def half(o, device):
-    """Mixed precision for upsamplers and heads where `--mixed` asks for it. Encoder and decoder stay in float32: their start hides
-    matching and motion in faint directions that 8 bits of mantissa would lose."""
+    """Mixed precision for upsamplers and heads with `--mixed`. Encoder and decoder stay in float32: their start keeps matching and motion in faint directions
+    that 8 bits of mantissa would lose."""
     return torch.autocast(device.type, torch.bfloat16, enabled=o.mixed)
 
 
@@ -105,7 +105,8 @@ class Stage:
                     spent=self.progress.spent, before=self.before)
 
     def go(self, loss_of, until=None):
-        """Runs to the end of the budget, then puts the running mean into the network; or to step `until` or a SIGTERM, and keeps what resumes it."""
+        """Runs to the end of the budget, then puts the running mean into the network. At step `until` or on SIGTERM it stops and stores the state to resume
+        from."""
         figures, saved, stop = [], time.monotonic(), []
         before = signal.signal(signal.SIGTERM, lambda *_: stop.append(1))
         while True:
@@ -208,7 +209,7 @@ def _static(stage, net, o, clips, encoder):
         x, place = source.batch(step)
         if not scenes:
             return x, place, np.zeros(0, np.float32)
-        # the last ones of the batch are scenes whose depth is known
+        # the last frames of the batch are scenes of known depth
         made = [scenes.turned(step, k, turn(step)) if o.turned else scenes.still(step, k) for k in range(o.scenes)]
         of, *known = (np.concatenate(each) for each in zip(*made))
         return np.concatenate([x, of]), place, *known
@@ -229,7 +230,7 @@ def _static(stage, net, o, clips, encoder):
         g, wide = losses.kept_local(g, net.config.splat_grid)
         background = torch.rand(len(x), 3, generator=gen).to(stage.device)
         image, T = render_static(g, x.shape[2], x.shape[3], background, (h, w), (place[0] * 8, place[1] * 8), o.rasteriser)
-        # a crop's rim lacks the neighbours that the full frame has
+        # a crop's rim lacks neighbours that the full frame has
         m = 8 if grid != net.config.grid else 0
         more = {}
         inner = (slice(None), slice(None), slice(m, x.shape[2] - m), slice(m, x.shape[3] - m))
@@ -259,7 +260,7 @@ def _static(stage, net, o, clips, encoder):
 
 
 class Prepared:
-    """Pairs with everything that the deformation heads read worked out once: what lies before the heads stays as it is in their stage."""
+    """Pairs with the input of the deformation heads, computed once: the parts before the heads are fixed in their stage."""
 
     def __init__(self, net, o, clips, device):
         source = data.Pairs(clips, o.seed, 1, middle=o.middle, procedural=o.procedural, gaps=tuple(o.gaps))
@@ -291,7 +292,7 @@ def heads(net, o, run, clips, state=None):
     stage = Stage('heads', net, groups, run, o.steps, o.minutes, every=100)
     stage.resume(state)
     source = Prepared(net, o, clips, stage.device)
-    stage.progress.skip()                         # working out the tokens is not training
+    stage.progress.skip()                         # computing the tokens is not training
     hooks = [] if o.depth else flat_depth(net)
 
     def loss_of(step, f):
@@ -323,8 +324,8 @@ def heads(net, o, run, clips, state=None):
 def calibrated(named, error_of, pairs, pixels, most=4e-4):
     """Adam groups, one per tensor: at its rate a step may change the flow's error by `pixels` / sqrt(tensors), to first order.
 
-    A step of Adam is as large for every entry, so it changes the error by rate * sum|gradient|. The start codes places and contents
-    faintly beside the position table, and these sums span four orders of magnitude."""
+    A step of Adam is as large for every entry, so it changes the error by rate * sum|gradient|. The start codes places and contents faintly compared with the
+    position table, and these sums span four orders of magnitude."""
     size = {k: 0.0 for k, _ in named}
     for b in pairs:
         grads = torch.autograd.grad(error_of(b), [p for _, p in named], allow_unused=True)
@@ -335,8 +336,8 @@ def calibrated(named, error_of, pairs, pixels, most=4e-4):
 
 
 class Motion:
-    """What `flow` and `dynamic` share: pairs, the tensors that velocities come from with their rates (`calibrated` at `pixels`), and
-    a pair's motion against the teacher's."""
+    """Shared by `flow` and `dynamic`: pairs, the tensors that determine velocities with their rates (`calibrated` at `pixels`), and a pair's motion against the
+    teacher's."""
 
     def __init__(self, net, o, clips, middle, pixels):
         self.net, self.o, self.device = net, o, next(net.parameters()).device

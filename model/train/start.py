@@ -1,11 +1,10 @@
-"""The analytic start: what can be said about the solution before any training, written into the weights.
+"""The analytic start: weights that already contain the part of the solution that is known before any training.
 
-The encoder becomes an exact, linear window extractor. The position table leaves about 170 directions of the embedding free; on
-them live, one orthonormal axis each, the patch's pixels (64 luma values and 2 x 16 chroma cells, as cosine coefficients scaled to
-equal spread) and the two nearest pixel rows or columns of the four neighbouring patches, which the four heads of the encoder's
-attention fetch: the table is a sum of rotations, so a query rotated by one step is a key of the neighbour.
-The upsampler unpacks them: each 4x4 sub-patch holds its 8x8 luma window, each Gaussian its 6x6 window, both whitened.
-What is left to learn is a local non-linear function of a small window, shared by all Gaussians.
+The encoder becomes an exact, linear window extractor. The position table leaves about 170 directions of the embedding free. These hold, one orthonormal axis
+each, the patch's pixels: 64 luma values and 2 x 16 chroma cells, as cosine coefficients scaled to equal spread. They also hold the two nearest pixel rows or
+columns of the four neighbouring patches, which the four heads of the encoder's attention fetch: the table is a sum of rotations, so a query rotated by one step
+is a key of the neighbour. The upsampler unpacks them: each 4x4 sub-patch holds its 8x8 luma window, each Gaussian its 6x6 window, both whitened. Training then
+learns a local non-linear function of a small window, shared by all Gaussians.
 """
 import math
 
@@ -44,9 +43,9 @@ def patch_pixels():
 
 
 def border_of_patch():
-    """For each side, the map from a patch's 96 values to the 18 values that the patch on its other side wants of it.
+    """For each side, the map from a patch's 96 values to the 18 values that its neighbour across that side reads.
 
-    `left` is what a patch shows to its right-hand neighbour: its two last columns."""
+    `left` is read by the right-hand neighbour: the patch's two last columns."""
     index = torch.arange(64).view(8, 8)
     strips = dict(left=index[:, 6:].T, right=index[:, :2].T, up=index[6:], down=index[:2])              # [2, 8], near or far line first
     cells = torch.arange(16).view(4, 4)
@@ -85,7 +84,7 @@ def window_maps():
             v[(at['left'] + 8 * (x + 2) if x < 0 else at['right'] + 8 * (x - 8)) + y] = 1
         elif inside(x):
             v[(at['up'] + 8 * (y + 2) if y < 0 else at['down'] + 8 * (y - 8)) + x] = 1
-        else:                                                            # a corner belongs to no neighbour we ask: the mean of its two sides
+        else:                                                            # a corner belongs to none of the four neighbours: the mean of its two sides
             v += 0.5 * luma(y, min(max(x, 0), 7)) + 0.5 * luma(min(max(y, 0), 7), x)
         return v
 
@@ -141,7 +140,7 @@ def raw_values(frames):
 
 @torch.no_grad()
 def write_encoder(net, frames, amplitude=0.1, seed=1):
-    """Fills the encoder; returns the read-outs (rows over the embedding) that later parts are built from."""
+    """Fills the encoder; returns the read-outs (rows over the embedding) from which later parts are built."""
     c = net.config
     enc = net.gs_predictor.encoder.transformer_encoder
     d, (gh, gw) = c.hidden_dim, c.grid
@@ -296,7 +295,7 @@ def write_static(net, readers, frames, spread=0.35, constant=6.0, sigma=0.6, opa
         b1[:36, s] = (spread * glf @ (cell_luma[s] @ lm - glm)).float()
         b1[36:36 + k_cells, s] = (spread * gcf @ (cell_chroma[s] @ cm - gcm)).float()
         b1[d1 - 1, s] = constant
-    # norms in front of attention and MLP: bring whitened channels near one and the constant down to one
+    # norms before attention and MLP: bring whitened channels near one and the constant down to one
     for stage, last, const in ((0, d0 - 1, constant * math.sqrt(2)), (1, d1 - 1, constant)):
         rms = math.sqrt(const ** 2 / (last + 1) + spread ** 2 * 0.85)
         for block in getattr(up, f'attention_{stage}').resblocks:
@@ -325,7 +324,7 @@ def write_static(net, readers, frames, spread=0.35, constant=6.0, sigma=0.6, opa
 
 @torch.no_grad()
 def quiet(module, gen):
-    """Usual random inputs, outputs of zero: every residual branch starts at zero."""
+    """Random input weights as usual, output weights of zero: every residual branch starts at zero."""
     for name, p in module.named_parameters():
         if p.dim() < 2:
             p.fill_(1.0 if name.endswith('weight') else 0.0)
@@ -340,7 +339,7 @@ N_MATCH = 33                                                             # fetch
 UNIT, SMOOTH_UNIT = 16.0, 2.0                                             # tokens per unit on the raw and the smoothed motion axes
 MOTION = ('mx', 'my', 'nx', 'ny', 'sx', 'sy')
 DIFFERENCE = 6.0                                                          # per unit of luma, on the deformation token
-FADE = ((5.0, 0.2), (8.0, 0.98))                                          # of the first frame, which lies in front, and of the second
+FADE = ((5.0, 0.2), (8.0, 0.98))                                          # of the first frame, which is in front, and of the second
 
 
 def content_rows(readers, frames, net):
@@ -369,9 +368,9 @@ def cell_differences(spread):
 def write_decoder(net, readers, frames, beta=(12.0, 40.0), gamma=(0.15, 0.25), smooth=(3.0, 0.08), amplitude=0.3, seed=3):
     """A soft-argmax matcher in the first block, a bilateral mean of its motion in the second.
 
-    Cross-attention heads 0 and 1 score -beta |f_q - f_k|^2 - gamma |p_q - p_k|^2 over the other frame and return where the match
-    lies; self-attention does the same inside the own frame and is subtracted, so that no change means exactly no motion. Heads 2
-    and 3 fetch what the other frame shows at the same place and at the match, for the MLP to refine the motion from."""
+    Cross-attention heads 0 and 1 score -beta |f_q - f_k|^2 - gamma |p_q - p_k|^2 over the other frame and return the position of the match. Self-attention does
+    the same inside its own frame and is subtracted, so that no change means exactly no motion. Heads 2 and 3 fetch the other frame's content at the same place
+    and at the match, from which the MLP refines the motion."""
     c, gen = net.config, torch.Generator().manual_seed(seed)
     dec, d = net.decoder.transformer_decoder, c.hidden_dim
     n = c.grid[0] * c.grid[1]
@@ -467,7 +466,7 @@ def write_decoder(net, readers, frames, beta=(12.0, 40.0), gamma=(0.15, 0.25), s
     for head in (2, 3):
         same_place(Ws, 64 * head, d + 64 * head, False, True)
     v = 2 * d + 128
-    Ws[v:v + 64], Os[:, 128:192] = (kx * border[:64]).float(), -border[:64].T.float()              # what the borders held makes room
+    Ws[v:v + 64], Os[:, 128:192] = (kx * border[:64]).float(), -border[:64].T.float()              # replaces the content of the borders
     v = 2 * d + 192
     Ws[v:v + 8], Os[:, 192:200] = (kx * border[64:]).float(), -border[64:].T.float()
     # MLP: random features of the three contents and the motion
@@ -511,7 +510,7 @@ def block0_stream(net, h):
 
 @torch.no_grad()
 def write_motion(net, readers, frames, seed=4):
-    """Deformation upsampler and heads: the smoothed motion becomes the velocity; the first frame lies in front (equal depths, order of storage) and fades."""
+    """Deformation upsampler and heads: the smoothed motion becomes the velocity; the first frame is in front (equal depths, order of storage) and fades."""
     gen = torch.Generator().manual_seed(seed)
     c, up = net.config, net.gaussian_upsampler
     quiet(up, gen)
@@ -544,7 +543,7 @@ def write_motion(net, readers, frames, seed=4):
                     w1[k + 9 * half + 3 * a + b, s, k + 16 * half + 4 * (s // 2 + a) + s % 2 + b] = 1
     w0[d0 - 1] = 0; b0[d0 - 1] = 6 * math.sqrt(2)
     w1[d1 - 1] = 0; b1[d1 - 1] = 6
-    for s in range(4):                                                     # which sub-cell this is, where the channels are spare
+    for s in range(4):                                                     # index of the sub-cell, in spare channels
         b1[k + 18:k + 20, s] = torch.tensor([0.3 if s & 1 else -0.3, 0.3 if s & 2 else -0.3])
     for stage, n, const in ((0, d0, 6 * math.sqrt(2)), (1, d1, 6.0)):
         rms = math.sqrt(const ** 2 / n + 0.1)

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Runs cargo for 64-bit ARM on an x86-64 Debian machine, as root: tests/emulated/aarch64.sh CARGO-ARGUMENTS…
 #   e.g. tests/emulated/aarch64.sh test --release -p streamsplat-kernels
-# The installed toolchain need not have an ARM standard library: a Debian unstable tree with its own rustc and the arm64 library of
-# the same version is unpacked once into $AARCH64_ROOT (about 2 GB), and what it builds runs under qemu's user emulation.
+# The installed toolchain needs no ARM standard library. A Debian unstable tree with its own rustc and the arm64 library of the same version is unpacked once
+# into $AARCH64_ROOT (about 2 GB). Its builds run under qemu's user emulation.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 root=${AARCH64_ROOT:-/var/tmp/aarch64-root}
@@ -27,7 +27,7 @@ home=${CARGO_HOME:-$HOME/.cargo}
 cargo fetch --quiet --locked
 mkdir -p "$root/ws" "$root/cargo/registry" "$root/target"
 cp -f "$(command -v qemu-aarch64-static)" "$root/usr/bin/"
-# The files in git, with the changes of the working tree; times are kept, so that a second build is incremental.
+# The files in git, with changes of the working tree; modification times are kept, so that a second build is incremental.
 git ls-files -z --cached --others --exclude-standard | (cd "$PWD" && tar --null --ignore-failed-read -cf - -T - 2>/dev/null) |
   (rm -rf "${root:?}/ws" && mkdir -p "$root/ws" && tar -C "$root/ws" -xf -)
 cp -au "$home/registry/." "$root/cargo/registry/"

@@ -1,11 +1,10 @@
 #!/usr/bin/env bash
 # Runs a program on an emulated x86-64 CPU with AVX-512: tests/emulated/avx512.sh [--with FILE]… PROGRAM ARGUMENTS…
 #   e.g. tests/emulated/avx512.sh --with fixtures/parity/tiny-nodino.json target/release/digests --level avx512
-# qemu's user emulation does not support AVX-512; Bochs does (a Skylake-X, some 20 million instructions a second). It boots Debian's cloud kernel with
-# an initial file system that holds the program, its shared libraries and the files of --with (under their own paths), and writes what the program
-# prints. Exit status: the program's. As root on Debian; what it needs is installed by apt. Bochs 2.7 returns 0 where a mask register is shifted by 15
-# places (kshiftlw, kshiftrw; mended in its repository, pull request 844): what compilers put together lane by lane loses its last lane there, and
-# only there.
+# qemu's user emulation does not support AVX-512; Bochs does (a Skylake-X, some 20 million instructions a second). It boots Debian's cloud kernel with an
+# initial file system that holds the program, its shared libraries and the files of --with (under their own paths), and prints the program's output. The exit
+# status is the program's. Runs as root on Debian; missing packages are installed by apt. Bochs 2.7 returns 0 where a mask register is shifted by 15 places
+# (kshiftlw, kshiftrw; fixed in its repository, pull request 844). So vectors that compilers assemble lane by lane lose their last lane, only in this emulation.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 cache=${BOCHS_CACHE:-/var/tmp/streamsplat-bochs}
@@ -36,7 +35,7 @@ ldd "$program" | grep -oE '/[^ ]+' | while read -r library; do mkdir -p "$init$(
 for file in "${files[@]}"; do mkdir -p "$init/$(dirname "$file")"; cp "$file" "$init/$file"; done
 {
   echo '#!/bin/sh'
-  # Test programs print one line per test either way; one thread keeps an emulated single CPU from switching.
+  # Test programs print one line per test in any case; one thread avoids switching on the emulated single CPU.
   printf 'export RUST_TEST_THREADS=1 STREAMSPLAT_FIXTURES=/fixtures\nexec /bin/program'
   [ $# -eq 0 ] || printf ' %q' "$@"
   echo
@@ -57,7 +56,7 @@ chmod +x "$init/init" "$init/bin/run"
 (cd "$init" && find . | cpio -o -H newc --quiet | gzip -1 >"$work/iso/initrd.gz")
 cp "$cache/vmlinuz" "$work/iso/vmlinuz"
 cp /usr/lib/ISOLINUX/isolinux.bin /usr/lib/syslinux/modules/bios/ldlinux.c32 "$work/iso/isolinux/"
-# Bochs counts the compact XSAVE area differently from Linux, which then does without AVX: xsavec and xsaves (321, 323) are hidden from it.
+# Bochs and Linux compute different sizes of the compact XSAVE area, and Linux then disables AVX: xsavec and xsaves (321, 323) are hidden from it.
 cat >"$work/iso/isolinux/isolinux.cfg" <<'CFG'
 default run
 prompt 0

@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
-# The digests of everything computed, on CPUs this machine is not: tests/emulated/run.sh [short|full]
+# All digests on emulated CPUs of other kinds: tests/emulated/run.sh [short|full]
 # x86-64 without AVX2 and FMA (scalar level), with AVX2 (avx2), with AVX-512 (avx512), and 64-bit ARM (neon).
 #   short  every kernel, two scenes, and the smallest network (default)
 #   full   all things in fixtures/golden/digests.txt
-# Every line printed elsewhere must be the line in fixtures/golden/digests.txt, which the tests compare with this machine's own.
+# Every line printed there must equal the line in fixtures/golden/digests.txt, which the tests compare with this machine's digests.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 how=${1:-short}

@@ -7,5 +7,5 @@ if ! command -v qemu-x86_64-static >/dev/null; then
   apt-get update -qq
   DEBIAN_FRONTEND=noninteractive apt-get install -y -qq qemu-user-static >/dev/null
 fi
-# qemu repeats for every thread what of the CPU it does not emulate; none of it is arithmetic.
+# qemu prints for every thread the CPU features that it does not emulate; none of them is arithmetic.
 qemu-x86_64-static -cpu "$cpu" "$@" 2> >(grep -v "TCG doesn't support requested feature" >&2)

@@ -1,4 +1,4 @@
-//! Compares the network at the paper's size with the reference's values at sampled places.
+//! Compares the network at the paper's size with sampled values of the reference.
 //!
 //! ```text
 //! python fixtures/parity/make_weights.py fixtures/parity/paper-dino.json paper-dino.safetensors

@@ -1,10 +1,10 @@
-// What tests in a browser share: headless Chromium with WebGL2 in software, programs under way, pictures compared.
+// Shared by tests in a browser: headless Chromium with WebGL2 in software, running programs, comparison of pictures.
 
 import { spawn, spawnSync } from "node:child_process";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 
-/** Debian's Chromium, driven by the playwright-core in the folder of packages `modules`. Colours come back as they were drawn. */
+/** Debian's Chromium, driven by the playwright-core in the folder of packages `modules`. Colours are returned unchanged. */
 export async function chromium(modules, ...more) {
   const { chromium } = createRequire(`${modules}/`)("playwright-core");
   const gpu = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"];
@@ -15,7 +15,7 @@ export async function chromium(modules, ...more) {
   });
 }
 
-/** A page of width × height pixels; what it says on its console, what fails in it and what it asks for goes to `log`. */
+/** A page of width × height pixels; its console messages, errors and requests are added to `log`. */
 export async function open(browser, [width, height], log) {
   const page = await browser.newPage({ viewport: { width, height }, deviceScaleFactor: 1, reducedMotion: "reduce" });
   page.setDefaultTimeout(60_000);
@@ -27,8 +27,8 @@ export async function open(browser, [width, height], log) {
 }
 
 /**
- * The picture of a page at rest, as PNG bytes. What a canvas drew reaches the screen some frames later, in a slow browser after the next
- * screenshot: pictures are taken until two in a row are the same.
+ * The picture of a page at rest, as PNG bytes. A canvas's drawing reaches the screen some frames later, in a slow browser after the next screenshot. So
+ * pictures are taken until two in a row are equal.
  */
 export async function picture(page) {
   let last = null;
@@ -44,14 +44,14 @@ export async function picture(page) {
   throw new Error("expected a page at rest, found another picture each time");
 }
 
-/** Runs a program to its end; its standard output. */
+/** Runs a program to its end; returns its standard output. */
 export function run(program, ...args) {
   const { status, stdout, stderr, error } = spawnSync(program, args, { encoding: "utf8" });
   if (status !== 0) throw new Error(`${program} ${args.join(" ")}: ${error ?? ""} ${status} ${stderr}`);
   return stdout;
 }
 
-/** A program under way: `line` is the first one it says on `stream`, `ended` its exit code. */
+/** A running program: `line` is its first line on `stream`, `ended` its exit code. */
 export function start(program, args, stream) {
   const child = spawn(program, args);
   const ended = new Promise((done) => child.on("exit", done));

@@ -1,5 +1,5 @@
-// Debian's Firefox, driven by WebDriver BiDi, which it speaks itself. Pages have those of playwright-core's calls that tests in both browsers use
-// (playwright-core 1.65 asks this Firefox for a command that it does not know).
+// Debian's Firefox, driven by WebDriver BiDi, which it supports itself. Pages have the calls of playwright-core that tests in both browsers use
+// (playwright-core 1.65 sends this Firefox a command that it does not support).
 // Node.js before 22 needs --experimental-websocket.
 
 import { spawn } from "node:child_process";
@@ -8,7 +8,7 @@ import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 
-/** Less motion, no first-run pages; `download` is where files go. */
+/** Less motion, no first-run pages; `download` is the folder of downloads. */
 const settings = (download) => ({
   "ui.prefersReducedMotion": 1,
   "datareporting.policy.dataSubmissionEnabled": false,
@@ -62,7 +62,7 @@ export async function firefox(download) {
   await send("session.subscribe", { events: ["log.entryAdded"] });
   return {
     version: () => capabilities.browserVersion,
-    /** What pages wrote on their consoles. */
+    /** The pages' console messages. */
     log,
     async open([width, height]) {
       const { context } = await send("browsingContext.create", { type: "tab" });

@@ -1,5 +1,5 @@
-# What tests of outside programs share. Sourced by tests/outside/*/run, from the repository's root.
-# A test installs its dependencies here, once, under target/outside; where that fails the test fails.
+# Functions shared by the tests of outside programs. Sourced by tests/outside/*/run, from the repository's root.
+# A test installs its dependencies once, under target/outside; where that fails the test fails.
 
 outside=$PWD/target/outside
 mkdir -p "$outside"
@@ -24,7 +24,8 @@ debian() {
   }
 }
 
-# python_with NAME REQUIREMENTS.TXT: a virtual environment of that name with the pinned packages, whose files must have the hashes named; its interpreter is then $python.
+# python_with NAME REQUIREMENTS.TXT: a virtual environment of that name with the pinned packages, whose files must have the stated hashes; its interpreter is
+# then $python.
 python_with() {
   local home=$outside/python-$1 wanted
   wanted=$(cat "$2")

@@ -1,4 +1,4 @@
-//! Images larger than the size at which the model sees frames, compared with the enlarged model-size image.
+//! Images larger than the model's input, compared with the enlarged model-size image.
 
 use image::imageops::{FilterType, resize};
 use image::{ImageBuffer, Rgb};

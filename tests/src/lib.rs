@@ -15,7 +15,7 @@ use std::sync::LazyLock;
 use streamsplat::stream::Workers;
 use streamsplat_kernels::Level;
 
-/// Threads for tests of intervals, not of levels and threads.
+/// Threads for tests that do not vary levels and threads.
 pub fn workers() -> &'static Workers {
     static WORKERS: LazyLock<Workers> = LazyLock::new(|| Workers::new(Level::detect(), 2).expect("threads start"));
     &WORKERS

@@ -1,8 +1,8 @@
-//! A scene with ground truth: a replacement of the network that reconstructs a sprite moving before a backdrop.
+//! A scene with ground truth: a replacement of the network that reconstructs a sprite moving in front of a backdrop.
 //!
-//! Every pixel of a frame holds the sprite's position as its red value; [`Theatre`] reads it there and returns the
-//! exact Gaussians and motion, on the same kind of lattice as the network does. Nothing is learned and nothing is slow,
-//! so that long streams can be tested.
+//! Every pixel of a frame holds the sprite's position as its red value. [`Theatre`] reads it and returns the exact
+//! Gaussians and motion, on the same kind of lattice as the network. Nothing is learned and nothing is slow, so long
+//! streams can be tested.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
@@ -54,7 +54,7 @@ impl Theatre {
         2.0 * code - 1.0
     }
 
-    /// Returns true if the sprite at `sprite` covers a place of the image.
+    /// Returns true if the sprite at `sprite` covers a position of the image.
     pub fn covers(sprite: f32, [x, z]: [f32; 2]) -> bool {
         (x - sprite).abs() <= HALF[0] && z.abs() <= HALF[1]
     }

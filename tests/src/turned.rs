@@ -14,16 +14,16 @@ use crate::workers;
 /// Mean PSNR in dB over key frames and their views from both sides.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Score {
-    /// Views, where they show what the key frame shows.
+    /// Views, at pixels whose surface the key frame shows.
     pub views: f64,
-    /// The foreground of views, where they show what the key frame shows.
+    /// The foreground of views, at pixels whose surface the key frame shows.
     pub foreground: f64,
-    /// Views where they show what the key frame hides.
+    /// Views, at pixels whose surface the key frame hides.
     pub behind: f64,
-    /// Views where they show what the key frame hides and one before it showed.
+    /// Views, at pixels whose surface the key frame hides and an earlier one showed.
     pub covered: f64,
-    /// Views halfway between the last two key frames, with frames between them seen, where they show what the straight
-    /// picture then shows; with true depth alone.
+    /// Views halfway between the last two key frames, with the frames between them as input, at pixels whose surface
+    /// the straight picture of that time shows. Only with true depth.
     pub middle: f64,
     /// Key frames from their own camera.
     pub key: f64,
@@ -41,7 +41,7 @@ pub struct Score {
 /// = width / height.
 ///
 /// # Panics
-/// Never: a turn about an axis is a rotation.
+/// Never: a turn about an axis is a valid rotation.
 pub fn around(degrees: f64, pivot: f64, aspect: f64) -> Camera {
     let (sin, cos) = sin_cos(degrees.to_radians());
     let rotation = Rotation::from_columns([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]]).expect("orthonormal");
@@ -64,7 +64,7 @@ pub fn middle(interval: &Interval, time: f64) -> Result<f64, streamsplat::render
     Ok(sum / count)
 }
 
-/// The depth that scenes are lifted to.
+/// The depth to which scenes are lifted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Depth {
     /// None: the model's own.
@@ -73,12 +73,12 @@ pub enum Depth {
     True,
     /// The one found by parallax, in the engine's scale.
     Found,
-    /// The one found by parallax, in the true scale by least squares; none where none was found.
+    /// The one found by parallax, in the true scale by least squares; `None` where none was found.
     FoundInScale,
 }
 
-/// The last of these pictures of a scene, which were taken a second apart, through an engine of these settings; and the
-/// inverse depth found for it.
+/// Takes pictures of a scene, a second apart, through an engine of these settings. Returns the interval of the last one
+/// and the inverse depth found for it.
 ///
 /// # Errors
 /// As [`Engine::push`].
@@ -98,7 +98,8 @@ pub fn reconstruct(
     Ok((last.expect("a picture"), map))
 }
 
-/// The last interval of a scene at these times with true depth, frames at three times between key frames seen.
+/// The last interval of a scene at these times with true depth, and with frames at three times between key frames as
+/// input.
 fn seen_between(engine: &mut Engine, scene: &Cards, times: &[f64]) -> Result<Interval, EngineError> {
     let size = scene.size();
     let with_map = |time: f64| {
@@ -124,8 +125,8 @@ fn frame(picture: &CardPicture, [height, width]: [usize; 2], depth: Option<Vec<f
     Frame { width, height, rgb: picture.rgb.clone(), depth }
 }
 
-/// y of a map's values, with inverse distances `9.8·y + 0.2` brought to those of the true `y` by one factor, by least
-/// squares.
+/// y of a map's values, after scaling the inverse distances `9.8·y + 0.2` to those of the true `y` by one factor, by
+/// least squares.
 fn in_scale(map: &[f32], truth: &[f32]) -> Vec<f32> {
     let inverse = |y: f32| 9.8 * f64::from(y) + 0.2;
     let found = |d: f32| inverse((NEAR - FAR).mul_add(d, FAR));
@@ -197,8 +198,8 @@ impl LastKey {
     }
 }
 
-/// The score of the last key frames of `scenes`, which are seen at `times`, views at ±`degrees`. Each image, with its
-/// name, goes to `show`.
+/// The score of the last key frames of `scenes`, with pictures at `times` and views at ±`degrees`. Each image, with its
+/// name, is passed to `show`.
 ///
 /// # Panics
 /// When the engine refuses a valid input.
@@ -278,12 +279,12 @@ pub fn score(
     }
 }
 
-/// How a body that moves by itself looks from both sides: means over scenes, at their last key frame.
+/// Quality of a moving body from both sides: means over scenes, at their last key frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct BodyScore {
     /// PSNR in dB on the body and within [`AROUND`] pixels of it.
     pub around: f64,
-    /// Share of these pixels whose colour is in neither the true view nor what is behind the body there.
+    /// Share of these pixels whose colour is neither in the true view nor in the scenery behind the body there.
     pub invented: f64,
     /// PSNR in dB of the key frame from its own camera, on the same pixels.
     pub key: f64,
@@ -297,13 +298,13 @@ pub struct BodyScore {
 
 /// Pixels around a body, of a picture 256 wide, that count with it.
 pub const AROUND: usize = 16;
-/// Difference of a channel from which on a colour is another one.
+/// Difference of a channel from which on colours count as different.
 const OTHER: f32 = 0.15;
 /// Pixels within which a colour may be found.
 const WITHIN: usize = 3;
 
-/// The score of scenes [with a body](Cards::with_body) at these times, views at ±`degrees`. Each image, with its name,
-/// goes to `show`.
+/// The score of scenes [with a body](Cards::with_body) at these times, with views at ±`degrees`. Each image, with its
+/// name, is passed to `show`.
 ///
 /// # Panics
 /// When the engine refuses a valid input.
@@ -379,7 +380,7 @@ fn holds(rgb: &[f32], [height, width]: [usize; 2], image: &[f32], pixel: usize) 
     })
 }
 
-/// PSNR over the pixels that `counts`, in dB; at most 100.
+/// PSNR over the pixels that `counts` selects, in dB; at most 100.
 fn psnr(a: &[f32], b: &[f32], counts: impl Fn(usize) -> bool) -> f64 {
     let area = a.len() / 3;
     let (mut sum, mut count) = (0.0, 0.0);
@@ -393,7 +394,7 @@ fn psnr(a: &[f32], b: &[f32], counts: impl Fn(usize) -> bool) -> f64 {
     if count == 0.0 { 100.0 } else { -10.0 * (sum / count + 1e-10).log10() }
 }
 
-/// A picture turned as a card about its own middle.
+/// A picture turned like a card about its own middle.
 fn flat(rgb: &[f32], [height, width]: [usize; 2], degrees: f64) -> Vec<f32> {
     let (_, cos) = sin_cos(degrees.to_radians());
     let middle = 0.5 * (width as f64 - 1.0);

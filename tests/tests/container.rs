@@ -1,4 +1,4 @@
-//! The compressed scene: how much smaller it is, how close its images are, and that identities and tracks survive.
+//! The compressed scene: its size, the closeness of its images, and that identities and tracks survive.
 
 use std::path::Path;
 
@@ -34,7 +34,7 @@ fn picture(interval: &Interval, time: f64) -> Picture {
     Picture { width: image.width, height: image.height, rgb: image.rgb }
 }
 
-/// Changes of colour as a scene might have them: smooth in space, with some grain; those of survivors stay zero.
+/// Plausible changes of colour: smooth in space, with some grain; those of survivors stay zero.
 fn recoloured(interval: &Interval) -> Interval {
     let mut out = interval.clone();
     let g = &mut out.gaussians;
@@ -48,7 +48,8 @@ fn recoloured(interval: &Interval) -> Interval {
     out
 }
 
-/// Bytes of the folder's intervals and of the container, and the worst of its images at five times of every interval.
+/// Bytes of the folder's intervals and of the container, and the PSNR of the worst of its images at five times of every
+/// interval.
 fn cost(raw: &[Interval], path: &Path) -> (usize, u64, f64) {
     let mut writer = ContainerWriter::create(path, 24.0).expect("writable");
     raw.iter().for_each(|interval| writer.push(interval, workers()).expect("writable"));
@@ -84,7 +85,7 @@ fn version_2() -> Vec<Interval> {
     (0..2).map(|i| recoloured(&scene.interval(i).expect("sound"))).collect()
 }
 
-/// The same, some of them thinner or thicker.
+/// The intervals of [`version_2`], with some Gaussians thinner or thicker.
 fn version_3() -> Vec<Interval> {
     let mut intervals = version_2();
     for gaussians in intervals.iter_mut().map(|interval| &mut interval.gaussians) {

@@ -27,7 +27,7 @@ fn checkpoint(name: &str) -> std::path::PathBuf {
     streamsplat_fixtures::path(&format!("parity/{name}"))
 }
 
-/// Many, all over the image and around it.
+/// Gaussians all over the image and around it.
 fn scattered(count: u32) -> OwnedGaussians {
     let mut scene = OwnedGaussians::default();
     for i in 0..count {
@@ -38,7 +38,7 @@ fn scattered(count: u32) -> OwnedGaussians {
     scene
 }
 
-/// A round one.
+/// Adds a round Gaussian.
 fn add(scene: &mut OwnedGaussians, mean: [f32; 3], scale: f32, opacity: f32, rgb: [f32; 3]) {
     scene.push(mean, [scale; 3], [1.0, 0.0, 0.0, 0.0], opacity, rgb);
 }
@@ -75,7 +75,8 @@ fn gaussians_that_reach_no_pixel_are_counted_and_change_no_bit() {
     assert_eq!(after - before, 1500);
 }
 
-/// A scene around a camera that sees a part of it: far and near, large and small, turned, faint, huge, and with NaN.
+/// A scene around a camera that sees a part of it: Gaussians far and near, large and small, turned, faint, huge, and
+/// with NaN.
 fn around(count: usize, seed: u64, wild: bool) -> Still {
     let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
     let mut random = |from: f32, to: f32| {
@@ -110,7 +111,7 @@ fn around(count: usize, seed: u64, wild: bool) -> Still {
     still
 }
 
-/// Cameras in the midst of a scene, from very narrow to very wide.
+/// Cameras inside a scene, from very narrow to very wide.
 fn narrow(seed: u64) -> Vec<(Camera, [usize; 2])> {
     let part = |n: u64| (seed.wrapping_mul(n) % 1009) as f64 / 1009.0;
     [(60.0, [64, 48]), (20.0, [48, 64]), (3.0, [33, 9]), (0.01, [16, 16]), (150.0, [40, 30])]
@@ -124,7 +125,7 @@ fn narrow(seed: u64) -> Vec<(Camera, [usize; 2])> {
             else {
                 panic!("a pinhole");
             };
-            // Off the middle, and now and then off the image.
+            // Off the middle, and sometimes outside the image.
             let centre = [part(31) * 1.5 - 0.25, 0.4];
             (Camera::Posed { pose, lens: Lens::Pinhole { focal, centre } }, size)
         })
@@ -165,16 +166,16 @@ fn gaussians_beside_a_still_image_are_counted_and_change_no_bit() {
             assert!(bits(&expected) == bits(&found) && some == 0);
         }
     }
-    // Nearly all of it before the projection, except for scenes with a third of odd Gaussians.
+    // Nearly all before the projection, except for scenes with a third of unusual Gaussians.
     assert!(culled[0] > 100_000 && left_out[0] * 10 > culled[0] * 8, "{left_out:?} of {culled:?}");
     assert!(left_out[1] * 2 > culled[1], "{left_out:?} of {culled:?}");
 }
 
 #[test]
 fn a_gaussian_beside_the_frustum_whose_footprint_reaches_the_image_is_drawn() {
-    // 1.4 units aside and one ahead, with a deviation of ⅓: its centre lies 54° from the axis of a camera that sees
-    // 20°, and its affine footprint, formed as if 15 % of the image's size beyond its edge, is 3.33/3·√(1 + 0.42²) =
-    // 1.2 tangents long.
+    // 1.4 units to the side and one ahead, with a deviation of ⅓. Its centre is 54° from the axis of a camera that sees
+    // 20°. Its affine footprint, formed at 15 % of the image's size beyond its edge, is 3.33/3·√(1 + 0.42²) = 1.2
+    // tangents long.
     let one = |mean: [f32; 3]| Still {
         mean: vec![mean],
         log_scale: vec![[(1.0_f32 / 3.0).ln(); 3]],
@@ -233,7 +234,7 @@ fn tiles_that_did_not_change_are_counted_and_keep_their_bits() {
     let mut rasteriser = Rasteriser::new(Level::detect());
     rasteriser.render(&scene.gaussians(), &VIEW, &request());
     add(&mut scene, [0.5, 0.5, 0.15], 0.02, 0.9, [1.0; 3]);
-    // As many Gaussians as before: one takes another's place.
+    // The same number of Gaussians: one replaces another.
     for plane in [&mut scene.mean, &mut scene.scale, &mut scene.rgb] {
         plane.swap_remove(7);
     }
@@ -314,8 +315,8 @@ fn dinov2_is_not_opened_by_a_model_that_does_not_read_it() {
 
 #[test]
 fn residual_branches_that_add_nothing_are_counted_and_change_no_bit() {
-    // The small checkpoint has them: the static upsampler's attention, half of the decoder, all of the deformation
-    // upsampler's.
+    // The small checkpoint has such branches: the static upsampler's attention, half of the decoder, all of the
+    // deformation upsampler's.
     let run = |reuse| {
         let mut engine =
             Engine::new(Settings { reuse, fade: Some(Fade::Network), ..Settings::default() }).expect("starts");

@@ -1,4 +1,4 @@
-//! Every extreme on every level and thread count: bits agree, promises hold, and no error is worse than in
+//! Every extreme on every level and thread count: bits agree, properties hold, and no error is worse than in
 //! `tests/extremes/record.json`. `tests/extremes/REPORT.md` describes how both are written.
 
 use std::collections::BTreeSet;

@@ -17,19 +17,19 @@ fn flat() -> Settings {
     Settings { find_depth: Some(false), ..Settings::default() }
 }
 
-/// Pixels that the camera moves by from time 0 to time 1 at y = 1.
+/// Pixels by which the camera moves points at y = 1 from time 0 to time 1.
 const TRAVEL: f64 = 16.0;
 
 fn frame(rgb: Vec<f32>) -> Frame {
     Frame { width: SIZE[1], height: SIZE[0], rgb, depth: None }
 }
 
-/// Three key frames of a camera that moves before cards.
+/// Three key frames of a camera that moves in front of cards.
 fn moving() -> Vec<Frame> {
     moving_at(1)
 }
 
-/// The same, `factor` times larger.
+/// The frames of [`moving`], `factor` times larger.
 fn moving_at(factor: usize) -> Vec<Frame> {
     let [height, width] = SIZE.map(|side| factor * side);
     let scene = Cards::new(11, width, height, TRAVEL * factor as f64);

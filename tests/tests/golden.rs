@@ -1,5 +1,5 @@
-//! Golden digests and images: results equal the stored ones to the last bit, on every level and for any number
-//! of threads. See `fixtures/golden/README.md` for how to store new ones after a change that is meant to change bits.
+//! Golden digests and images: results equal the stored ones to the last bit, on every level and for any number of
+//! threads. `fixtures/golden/README.md` describes how to store new ones after an intended change of bits.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -14,7 +14,7 @@ fn golden(name: &str) -> PathBuf {
     streamsplat_fixtures::path(&format!("golden/{name}"))
 }
 
-/// Levels with the thread counts tried on them: all on the highest, one on the others, for time.
+/// Levels with the thread counts tested on them: all on the highest, one on the others, to save time.
 fn levels() -> impl Iterator<Item = (Level, &'static [usize])> {
     Level::available()
         .into_iter()
@@ -48,7 +48,7 @@ fn everything_computed_has_its_golden_digest_on_every_level_and_thread_count() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Compares with a stored PNG, byte by byte; writes it instead where `STORE_GOLDEN` is set.
+/// Compares with a stored PNG, byte by byte; where `STORE_GOLDEN` is set, writes it instead.
 fn assert_golden(name: &str, image: &Image) {
     let picture = Picture {
         width: image.width,
@@ -84,7 +84,7 @@ fn scenes_are_drawn_as_their_golden_images() {
 #[test]
 fn the_embedded_model_gives_its_golden_images_on_every_vector_level() {
     let clip = Clip::new(ClipKind::Moving, 1, 256, 144);
-    // The scalar level multiplies and adds in software where it must; the small models above try it.
+    // The scalar level emulates fused steps where it must and is slow; the small models above test it.
     let vector = Level::available().into_iter().filter(|level| *level != Level::scalar());
     for (level, threads) in vector.flat_map(|level| [(level, 1), (level, 3)]) {
         let settings = Settings { level: Some(level), threads, ..Settings::default() };

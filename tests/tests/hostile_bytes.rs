@@ -1,5 +1,5 @@
-//! Readers of files from outside, on bytes that mean them harm: seeds, what fuzzing found, and mutations of both.
-//! Nothing panics, nothing that is read breaks its promises. The long form is `tests/fuzz/run`.
+//! Readers of untrusted files, on hostile bytes: seeds, findings of fuzzing, and mutations of both. Nothing panics, and
+//! results have their documented properties. The long form is `tests/fuzz/run`.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::LazyLock;

@@ -1,4 +1,4 @@
-//! Model files that are cut, foreign, corrupt or contradict themselves: an error with the reason, never a panic.
+//! Model files that are truncated, of another kind, corrupt or contradictory: an error with the reason, never a panic.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -52,7 +52,7 @@ impl Model {
     }
 }
 
-/// All of `words` occur.
+/// Asserts that all of `words` occur.
 fn says(message: &str, words: &[&str]) {
     for word in words {
         assert!(message.contains(word), "{message:?} does not say {word:?}");

@@ -6,7 +6,7 @@ use streamsplat_model::{Dino, LoadOptions, Network, Precision};
 use streamsplat_tests::parity;
 use streamsplat_tests::reference::relative_l2;
 
-/// Relative L2 error per tensor; the data are about 1e-6 from the exact results themselves.
+/// Relative L2 error per tensor; the data themselves differ from the exact results by about 1e-6.
 const BOUND: f64 = 3e-6;
 
 fn outputs(case: &str, level: Level, precision: Precision) -> Vec<Tensor> {
@@ -86,7 +86,7 @@ fn every_level_and_number_of_threads_gives_the_same_bits() {
     ] {
         let expected = bits(outputs(case, Level::scalar(), precision));
         for level in Level::available() {
-            // DINOv2 takes its time without vectors.
+            // DINOv2 is slow without vectors.
             let threads: &[usize] = if case == "dino-tiny" { &[2] } else { &[1, 2, 3, 8] };
             for &threads in threads {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");

@@ -10,7 +10,7 @@ fn doubles(file: &SafeTensors<'_>, name: &str) -> Vec<f64> {
     data.chunks_exact(8).map(|b| f64::from_le_bytes(b.try_into().unwrap())).collect()
 }
 
-/// Largest error, and how many values are off by more than `tolerance`.
+/// Largest error, and the number of values off by more than `tolerance`.
 fn compare(found: impl Iterator<Item = f64>, expected: &[f64], tolerance: f64) -> (f64, usize) {
     let (mut worst, mut off, mut count) = (0.0_f64, 0, 0);
     for (found, &expected) in found.zip(expected) {
@@ -47,7 +47,7 @@ fn check(name: &str, tolerance: f64) {
         }
     };
     let plain = reference::render(&gaussians, &projection, &request);
-    // The oracle takes the determinant as ac − b², which costs it digits where needles are drawn.
+    // The oracle computes the determinant as ac − b², which loses digits for needles.
     assert_close("plain", [plain.rgb, plain.alpha, plain.final_t, plain.depth], 1e-7);
     let wide = |plane: Vec<f32>| -> Vec<f64> { plane.into_iter().map(f64::from).collect() };
     for level in Level::available() {

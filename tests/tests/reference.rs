@@ -1,4 +1,4 @@
-//! The binary64 reference agrees with the parity data to the error the data themselves have.
+//! The binary64 reference agrees with the parity data to within the error of the data.
 
 use streamsplat_model::checkpoint::Checkpoint;
 use streamsplat_tests::parity;
@@ -8,7 +8,7 @@ fn read(io: &Checkpoint, name: &str) -> Vec<f64> {
     io.read(name).expect("a parity tensor").iter().map(|&x| f64::from(x)).collect()
 }
 
-/// Every `out.*` of the data is there, and within `bound`.
+/// Asserts that every `out.*` of the data exists and is within `bound`.
 fn compare(case: &str, io: &Checkpoint, found: &Outputs, bound: impl Fn(&str) -> f64) {
     let mut compared = 0;
     for name in io.tensors().keys().filter_map(|name| name.strip_prefix("out.")) {

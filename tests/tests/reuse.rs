@@ -1,5 +1,5 @@
-//! Reuse in the network: exactly, nothing changes; within a tolerance, it is the same on every level and for any number
-//! of threads.
+//! Reuse in the network: exact reuse changes nothing; reuse within a tolerance is the same on every level and for any
+//! number of threads.
 
 use std::path::PathBuf;
 
@@ -17,7 +17,7 @@ fn open(name: &str, level: Level) -> Network {
     Network::open(checkpoint(name), &LoadOptions { level, ..LoadOptions::default() }).expect("loads")
 }
 
-/// A still, noisy backdrop of the network's size with a small square at column `x` before it.
+/// A still, noisy backdrop of the network's size with a small square at column `x` in front of it.
 fn picture([height, width]: [usize; 2], x: usize) -> Vec<f32> {
     let pixel = |i: usize| {
         let (row, column) = (i / width % height, i % width);
@@ -114,7 +114,7 @@ fn a_refresh_gives_what_a_network_without_a_cache_gives() {
     // A frame has 6 results, and 8 with the pair it ends.
     let h = |results: &[Vec<f32>], k: usize| bits(&results[if k == 0 { 0 } else { 6 + 14 * (k - 1) }]);
     let equal: Vec<usize> = (0..steps).filter(|k| h(&found, *k) == h(&expected, *k)).collect();
-    // In between, the square that moves by a pixel is ignored.
+    // In between, the square's motion by a pixel is ignored.
     assert!(equal.contains(&0) && equal.contains(&(Cache::REFRESH as usize)) && !equal.contains(&1), "{equal:?}");
 }
 

@@ -1,4 +1,4 @@
-//! Intervals and images are the same bits on every level, for any number of threads and in every run; pairwise fusion
+//! Intervals and images have the same bits on every level, for any number of threads and in every run. Pairwise fusion
 //! is the model's own definition of an interval.
 
 use std::path::PathBuf;
@@ -10,7 +10,7 @@ use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{self, Gaussians, Projection, Request};
 use streamsplat_model::{FrameInput, LoadOptions, Network, Sampling, Side, motion};
 
-/// A moving pattern with noise, of no round size.
+/// A moving pattern with noise, at an odd size.
 fn frame(k: usize) -> Frame {
     let (width, height) = (83, 47);
     let pixel = |i: usize| {

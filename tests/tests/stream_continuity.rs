@@ -14,7 +14,7 @@ fn stream(fusion: Fusion, max_age: u32, gamma: [f32; 2], places: &[f32]) -> Vec<
     let model: Arc<dyn Reconstructor> = theatre.clone();
     let settings = Settings { fusion, max_age: MaxAge(max_age), ..Settings::with_model(ModelSource::Shared(model)) };
     let mut engine = Engine::new(settings).expect("starts");
-    // Uneven times: nothing may depend on equal lengths.
+    // Uneven times: results must not depend on equal lengths.
     let push = |(k, &x): (usize, &f32)| {
         let time = k as f64 + 0.3 * (k % 3) as f64;
         engine.push(theatre.frame(x), time).expect("taken")
@@ -85,7 +85,7 @@ fn nothing_flashes_around_a_key_frame() {
 
 #[test]
 fn the_image_at_a_key_frame_is_the_frames_own() {
-    // Nothing vanishes here, so that at a key frame the frame's own Gaussians are alone.
+    // Nothing vanishes here, so at a key frame only the frame's own Gaussians are present.
     let intervals = stream(Fusion::Persistent, 8, [3.0, 0.4], &[0.2; 5]);
     let alone = draw(&intervals[0], 0.0, &Camera::Canonical);
     for interval in &intervals[1..] {
@@ -95,7 +95,7 @@ fn the_image_at_a_key_frame_is_the_frames_own() {
 
 #[test]
 fn a_point_on_the_sprite_stays_on_the_sprite() {
-    // Fractions of a cell per key frame (a cell is 1/16 wide): motion that a lattice alone would swallow.
+    // Fractions of a cell per key frame (a cell is 1/16 wide): motion that a lattice alone would lose.
     let places: Vec<f32> = (0..90).map(|k| -0.65 + 0.0143 * k as f32).collect();
     let intervals = stream(Fusion::Persistent, 8, [3.0, 0.4], &places);
     let cell = 1.0 / 16.0;
@@ -143,7 +143,7 @@ fn a_point_on_the_backdrop_does_not_go_with_the_sprite() {
             assert!((points[0].pixel[0] - pixel[0]).abs() < 1e-3 && (points[0].pixel[1] - pixel[1]).abs() < 1e-3);
             track = next;
         }
-        // And back again.
+        // Then backward.
         for interval in intervals.iter().rev() {
             let (points, next) = track.backward(interval, &[interval.start]).expect("it was there");
             assert_eq!(points[0].position, picked.position);

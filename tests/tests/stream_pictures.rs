@@ -1,5 +1,5 @@
 //! The embedded model with its defaults: tiles, motion from flow and fitted colours leave no seam, change no bit where
-//! they save work, and hold at odd sizes.
+//! they save work, and work at odd sizes.
 
 use std::time::{Duration, Instant};
 
@@ -37,7 +37,7 @@ fn stream(quality: Quality, reuse: Reuse) -> (Vec<Interval>, Engine) {
     for (place, k) in [0_usize, 3, 6, 6, 9].into_iter().enumerate() {
         let time = place as f64;
         let between = match place {
-            // A pause: nothing lies between the two equal frames.
+            // A pause: no frame is between the two equal ones.
             0 | 3 => Vec::new(),
             _ => vec![(frame(&clip, k - 2).0, time - 0.66), (frame(&clip, k - 1).0, time - 0.33)],
         };
@@ -59,7 +59,7 @@ fn exact_savings_change_no_bit_of_tiles_flow_and_colours() {
         // The pause: four tiles are kept, and the flow between equal frames is zero.
         assert!(count("encoder").1 >= 4, "{:?} tiles kept", count("encoder"));
         assert!(count("flow").1 >= 1);
-        // Motion is flow's, and all fade alike: four pairs of four tiles.
+        // Motion is from flow, and all fade alike: four pairs of four tiles.
         assert_eq!(count("decoder"), (0, 16));
     }
 }

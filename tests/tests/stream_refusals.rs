@@ -58,7 +58,7 @@ fn a_gaussian_with_a_bad_number_is_dropped_and_counted() {
         assert_eq!((first.dropped, first.gaussians.len() as u64), (drops[0], 60 - drops[0]), "field {field}");
         for k in 1..5 {
             let interval = engine.push(theatre.frame(0.0), f64::from(k)).expect("taken");
-            // A Gaussian that never was cannot be dropped again as part of the frame before.
+            // A dropped Gaussian cannot be dropped again as part of the previous frame.
             let expected = if field == 0 { 1 } else { drops[1] };
             assert_eq!(interval.dropped, expected, "field {field}, key frame {k}");
             assert!(interval.gaussians.iter().all(|r| r.is_sound()));

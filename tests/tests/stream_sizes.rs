@@ -1,5 +1,5 @@
-//! Images larger than the size at which the model sees frames: at most 0.2 dB below the model-size image, enlarged, and
-//! with found depth at most 0.1 dB below those without.
+//! Images larger than the model's input: at most 0.2 dB below the enlarged model-size image, and with found depth at
+//! most 0.1 dB below those without.
 
 use streamsplat::picture::Picture;
 use streamsplat::stream::Resolution;
@@ -7,7 +7,7 @@ use streamsplat::{Engine, Frame, Settings};
 use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_tests::enlarging::enlarging;
 
-/// Height and width that the model sees.
+/// Height and width of the model's input.
 const SEEN: [usize; 2] = [144, 256];
 
 #[test]
@@ -20,7 +20,7 @@ fn images_of_the_sources_size_are_no_worse_than_enlarged_ones() {
             let time = k as f64 / 24.0;
             (Frame { width, height, rgb: clip.picture(time).rgb, depth: None }, time)
         };
-        // Flat, and with depth that is found.
+        // Flat, and with found depth.
         let [flat, found] = [false, true].map(|find_depth| {
             let resolution = Some(Resolution::Exact(SEEN));
             let settings = Settings { resolution, find_depth: Some(find_depth), ..Settings::default() };
@@ -37,7 +37,7 @@ fn images_of_the_sources_size_are_no_worse_than_enlarged_ones() {
         });
         for ((flat, found), k) in flat.iter().zip(&found).zip([0, 2, 4]) {
             println!("{width}×{height}, frame {k}: flat {flat:.2?}, with depth {found:.2?}");
-            // At three times the size enlarged ones are better by up to 0.16 dB, with depth by up to 0.28 dB.
+            // At three times the size enlarged images are better by up to 0.16 dB, with depth by up to 0.28 dB.
             assert!(flat.drawn >= flat.enlarged - 0.2, "{width}×{height}, frame {k}: {flat:?}");
             assert!(found.drawn >= found.enlarged - 0.3, "{width}×{height}, frame {k}: {found:?}");
             assert!(found.drawn >= flat.drawn - 0.1, "{width}×{height}, frame {k}: {found:?}, flat {flat:?}");

@@ -1,5 +1,5 @@
-//! Static regions of the picture keep their Gaussians: the same bits on every level, thread count and after a
-//! resumption, no seam at key frames, no error that grows.
+//! Static regions of the picture keep their Gaussians: the same bits on every level, thread count and after resuming,
+//! no seam at key frames, no growing error.
 
 use streamsplat::stream::{Handover, StaticRegions};
 use streamsplat::{Camera, Engine, Frame, Image, Interval, RenderOptions, Settings};
@@ -14,7 +14,7 @@ fn frame(k: usize, light: f32, mover: bool) -> Frame {
     let [width, height] = SIZE;
     let mut state = (k as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut noise = move || {
-        // Nearly Gaussian: the sum of four.
+        // Nearly Gaussian noise: the sum of four uniform numbers.
         let mut sum = 0.0;
         for _ in 0..4 {
             state ^= state << 13;
@@ -104,7 +104,7 @@ fn a_standing_camera_keeps_most_of_its_gaussians_for_less_than_a_decibel() {
 
 #[test]
 fn levels_threads_and_a_resumed_stream_are_the_same_bits_and_crossing_changes_none() {
-    // Light that fades brings colours that change.
+    // Fading light makes colours change.
     let light = |k: usize| 1.0 - 0.0004 * k as f32;
     let stream = |level, threads| {
         let mut engine =

@@ -1,6 +1,6 @@
-//! How far tracked points are from where they are, on clips of known motion: the engine alone (with a reconstructor
-//! that has the truth) and with the embedded model. The figures are printed (`cargo test --release -p streamsplat-tests
-//! --test track_accuracy -- --nocapture`) and may not get worse than the bounds here.
+//! Error of tracked points on clips of known motion: the engine alone (with a reconstructor that returns the truth) and
+//! with the embedded model. The figures are printed (`cargo test --release -p streamsplat-tests --test track_accuracy
+//! -- --nocapture`) and may not get worse than the bounds here.
 
 use std::sync::Arc;
 
@@ -11,17 +11,17 @@ use streamsplat_fixtures::clip::{self, Clip, ClipKind};
 use streamsplat_tests::theatre::{BACKDROP, HALF, Theatre};
 use streamsplat_tests::workers;
 
-/// Most median error in pixels and least share on the object, after this many key frames.
+/// Key frames, largest allowed median error in pixels after them, and least allowed share on the object.
 type Bound = (usize, f64, f64);
 
-/// Where a point is, whether it can be seen, and whether a pixel shows its object.
+/// The position of a point, whether it is visible, and whether a pixel shows its object.
 struct Truth<'a> {
     at: [f64; 2],
     visible: bool,
     on_object: &'a dyn Fn([f64; 2]) -> bool,
 }
 
-/// Tracking accuracy of the points that can be seen after some key frames.
+/// Tracking accuracy of the points that are visible after some key frames.
 #[derive(Default)]
 struct Score {
     points: usize,
@@ -66,7 +66,7 @@ impl Score {
     }
 }
 
-/// Prints the table and holds each row to its bounds: the median error, and the share on the object.
+/// Prints the table and checks each row against its bounds: the median error, and the share on the object.
 fn report(what: &str, scores: &mut [Score], bounds: &[Bound]) {
     println!(
         "{what}\n| key frames | points seen | lost | median error, pixels | on their object |\n|---:|---:|---:|---:|---:|"
@@ -97,7 +97,7 @@ impl Followed {
     }
 }
 
-/// A sprite before a backdrop; `place(k)` is its centre. Points on a grid over both.
+/// A sprite in front of a backdrop; `place(k)` is its centre. Points are on a grid over both.
 fn theatre(what: &str, place: impl Fn(usize) -> f32, bounds: &[Bound]) {
     let theatre = Arc::new(Theatre::new([18, 32]));
     let model: Arc<dyn Reconstructor> = theatre.clone();
@@ -145,23 +145,23 @@ fn frames(bounds: &[Bound]) -> usize {
 
 #[test]
 fn the_engine_alone_keeps_points_on_a_slow_sprite_and_its_backdrop() {
-    // A fifth of a cell per key frame: what the lattice alone would swallow.
+    // A fifth of a cell per key frame: motion that the lattice alone would lose.
     theatre("true motion, slow", |k| -0.65 + 0.013 * k as f32, &[(10, 0.01, 1.0), (30, 0.01, 1.0), (100, 0.01, 1.0)]);
 }
 
 #[test]
 fn the_engine_alone_keeps_points_on_a_fast_sprite_that_turns() {
-    // Up to one and a half cells per key frame, to and fro: covered parts appear again.
+    // Up to one and a half cells per key frame, back and forth: covered parts appear again.
     let place = |k: usize| {
         let phase = (k % 28) as f32 / 14.0;
         -0.6 + 1.2 * (1.0 - (phase - 1.0).abs())
     };
-    // A track that is not on its object is lost: hidden until it had faded out.
+    // A track that is not on its object is lost: the point was hidden until it had faded out.
     theatre("true motion, fast", place, &[(10, 0.01, 0.91), (30, 0.01, 0.76), (100, 0.01, 0.84)]);
 }
 
-/// With the embedded model as it runs by default, which is held to `bounds`, and to half of the median error of the
-/// network's own motion.
+/// Tests the embedded model with its defaults against `bounds`, and against half of the median error of the network's
+/// own motion.
 fn embedded(kind: ClipKind, what: &str, bounds: &[Bound]) {
     let clip = Clip::new(kind, 1, WIDTH, HEIGHT);
     let mut ours = followed_by(Settings::default(), &clip, FPS, bounds).0;
@@ -217,12 +217,12 @@ fn followed_by(settings: Settings, clip: &Clip, fps: f64, bounds: &[Bound]) -> (
 
 const WIDTH: usize = 256;
 const HEIGHT: usize = 144;
-/// Key frames a second.
+/// Key frames per second.
 const FPS: f64 = 48.0;
-/// The same where the camera has to move far enough between them for depth to be found.
+/// Key frames per second where the camera must move far enough between them for depth to be found.
 const FPS_OF_PARALLAX: f64 = 12.0;
 
-// Twice the measured values: a track that is lost at once or goes its own way does not stay within them.
+// Twice the measured values: a track that is lost at once or drifts off does not stay within them.
 const STANDING: [Bound; 3] = [(10, 3.0, 0.9), (30, 7.0, 0.6), (100, 150.0, 0.0)];
 const MOVING: [Bound; 3] = [(10, 3.5, 0.7), (30, 7.5, 0.55), (100, 240.0, 0.0)];
 

@@ -1,4 +1,4 @@
-//! Scenes with true depth seen from the side, and depth maps with little information.
+//! Scenes with true depth from the side, and depth maps with little information.
 
 use streamsplat::stream::{Behind, DepthRange, Interval, MotionFrom, Reuse};
 use streamsplat::{Engine, Frame, RenderOptions, Settings};
@@ -33,7 +33,7 @@ fn views_past_edges_show_what_earlier_frames_saw_there() {
     let scenes: Vec<Cards> = (0..6).map(|seed| Cards::new(seed, SIZE[1], SIZE[0], 40.0)).collect();
     let times = [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0];
     let with = score(&Settings::default(), &scenes, Depth::True, &times, 10.0, |_, _, _| ());
-    // The same without flow, along which it is remembered.
+    // The same without flow, along which depth is carried over.
     let network = Settings { motion: Some(MotionFrom::Network), ..Settings::default() };
     let without = score(&network, &scenes, Depth::True, &times, 10.0, |_, _, _| ());
     println!("with    {with:?}\nwithout {without:?}");
@@ -55,7 +55,7 @@ fn stream(level: Option<Level>, threads: usize, depth: impl Fn(usize, &[f32]) ->
         .collect()
 }
 
-/// A scene in which near things cover parts that were visible a key frame ago.
+/// A scene in which near objects cover parts that were visible a key frame ago.
 fn covering() -> Cards {
     Cards::new(4, 128, 80, 30.0)
 }
@@ -86,7 +86,7 @@ fn maps_that_tell_nothing_are_as_no_map() {
     }
     let some = stream(None, 0, |_, y| Some(y.to_vec()));
     assert!(!same(&without, &some));
-    // Inverted, or of huge numbers: another scene, but a sound one.
+    // Inverted, or of huge numbers: another scene, but a valid one.
     for depth in [(|y: f32| 1.0 - y) as fn(f32) -> f32, |y| y * f32::MAX, |y| if y > 0.5 { f32::INFINITY } else { y }] {
         let odd = stream(None, 0, |_, y| Some(y.iter().map(|y| depth(*y)).collect()));
         assert!(odd.iter().all(|i| i.gaussians.iter().all(|r| r.is_sound()) && i.dropped == 0));
@@ -133,7 +133,7 @@ fn a_still_scene_does_not_breathe_when_its_maps_flicker() {
         let mut picture = straight.clone();
         let (scale, shift) = [(1.0, 0.0), (0.8, 0.1), (0.9, 0.02)][usize::from(key)];
         picture.y.iter_mut().for_each(|y| *y = 0.5 + (*y - 0.5) * scale + shift);
-        // One level of eight bits: another picture, though nothing moves.
+        // One level of eight bits: the picture changes, though nothing moves.
         picture.rgb.iter_mut().for_each(|c| *c = (*c + f32::from(key) / 255.0).min(1.0));
         let interval = match key {
             0 => reconstruct(&mut engine, &[picture], SIZE, true).expect("taken").0,

@@ -1,10 +1,10 @@
-//! `--compare BASE.json`: a measurement against an earlier one, for machines without a graphics card or a quiet hour,
-//! such as those of continuous integration.
+//! `--compare BASE.json`: a measurement against an earlier one, for machines without a graphics card and with other
+//! load, as in continuous integration.
 //!
 //! Counted instructions differ only where the code does, under any load of the machine. Times are compared only between
-//! runs on the same processor, with as many threads and the same instruction set; a row is worse when its median lies
-//! more than the limit above the one before **and** its fastest run was slower than half of the runs before. A
-//! difference above the limit that is less clear is listed and is no failure.
+//! runs on the same processor, with the same number of threads and the same instruction set. A row is worse when its
+//! median is more than the limit above the one before **and** its fastest run was slower than half of the runs before.
+//! A less clear difference above the limit is listed but is not a failure.
 
 mod record;
 mod report;
@@ -20,7 +20,7 @@ use crate::timing::Seconds;
 
 /// Limit for instructions, in percent.
 const INSTRUCTIONS: f64 = 3.0;
-/// The same where another compiler was used, or other settings.
+/// Limit for instructions where the compiler or its settings differ.
 const INSTRUCTIONS_OF_OTHERS: f64 = 10.0;
 /// Limit for times.
 const TIMES: f64 = 10.0;
@@ -29,8 +29,8 @@ const TIMES: f64 = 10.0;
 #[derive(Args)]
 #[group(multiple = true, requires = "compare")]
 pub(crate) struct Options {
-    /// Compare with this record, which stages, stages --instructions, kernels or raster wrote with --json: measure the
-    /// same again and fail where something got worse by more than the limit.
+    /// Compare with this record, which stages, stages --instructions, kernels or raster wrote with --json. Measures the
+    /// same again and fails where something got worse by more than the limit.
     #[arg(long, value_name = "BASE.json", required = true)]
     compare: Option<PathBuf>,
     /// Compare this record instead of measuring.
@@ -50,14 +50,14 @@ pub(crate) struct Options {
     json: Option<PathBuf>,
 }
 
-/// How a row differs from the one before.
+/// Difference of a row from the one before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
-    /// By less than the limit.
+    /// Less than the limit.
     Equal,
     Better,
     Worse,
-    /// By more than the limit, but runs before were as slow.
+    /// More than the limit, but runs before were as slow.
     Spread,
     /// Not measured before.
     New,
@@ -74,7 +74,7 @@ struct Change {
     verdict: Verdict,
 }
 
-/// All of it.
+/// All rows.
 struct Comparison {
     kind: Benchmark,
     limit: f64,
@@ -83,7 +83,7 @@ struct Comparison {
     notes: Vec<String>,
 }
 
-/// Compares, and prints what came of it; true where something got worse.
+/// Compares and prints the result; returns true where something got worse.
 pub(crate) fn run(options: &Options) -> Result<bool> {
     let base = options.compare.as_deref().context("--compare: expected a file")?;
     let before = record::read(base)?;
@@ -113,12 +113,12 @@ fn measure(before: &Record, options: &Options) -> Result<Record> {
     if let Some(repeat) = options.repeat.filter(|_| before.kind != Benchmark::Instructions) {
         command.arg("--repeat").arg(repeat.to_string());
     }
-    // Tables of the measurement itself would come before that of the comparison.
+    // The output is captured: the measurement's own tables would come before that of the comparison.
     let output = command.stderr(std::process::Stdio::inherit()).output().context("cannot start the measurement")?;
     ensure!(output.status.success(), "the measurement failed: {}", output.status);
     let record = record::read(&json);
     if options.json.is_none() {
-        // Left behind at worst.
+        // At worst the file remains.
         let _ = std::fs::remove_file(&folder);
     }
     record
@@ -149,7 +149,7 @@ fn compare(before: &Record, now: &Record, limit: Option<f64>) -> Result<Comparis
             changes.push(Change { name, before: None, now: Some(row.value), percent: None, verdict: Verdict::New });
             continue;
         };
-        // The processor's time is less disturbed by what else runs.
+        // Processor time is less disturbed by other load.
         let (before, now) = earlier.processor.zip(row.processor).unwrap_or((earlier.value, row.value));
         let (percent, verdict) = judged(before, now, limit);
         changes.push(Change { name, before: Some(before), now: Some(now), percent: Some(percent), verdict });
@@ -166,7 +166,7 @@ fn find<'a>(record: &'a Record, name: &str) -> Option<&'a Measured> {
     record.rows.iter().find(|row| row.name == name)
 }
 
-/// By how many percent a row's median grew, and what that means.
+/// Growth of a row's median in percent, and the verdict.
 fn judged(before: Seconds, now: Seconds, limit: f64) -> (f64, Verdict) {
     let percent = 100.0 * (now.median / before.median - 1.0);
     let verdict = if percent > limit {

@@ -20,11 +20,11 @@ pub(super) enum Benchmark {
     Raster,
 }
 
-/// One thing that was measured.
+/// One measured row.
 #[derive(Clone, Debug)]
 pub(super) struct Measured {
     pub(super) name: String,
-    /// Instructions, all three alike; or seconds by the clock.
+    /// Instructions, with all three values equal, or seconds by the clock.
     pub(super) value: Seconds,
     /// Seconds of the processor, where they were measured.
     pub(super) processor: Option<Seconds>,
@@ -49,7 +49,7 @@ pub(super) fn read(path: &Path) -> Result<Record> {
     parse(&text).with_context(|| path.display().to_string())
 }
 
-/// The same from its text.
+/// Parses the text of a record.
 pub(super) fn parse(text: &str) -> Result<Record> {
     let value: Value = serde_json::from_str(text).context("not JSON")?;
     let list = |key: &str| value.get(key).and_then(Value::as_array);
@@ -90,14 +90,14 @@ pub(super) fn parse(text: &str) -> Result<Record> {
     };
     let rows = rows.iter().map(|row| {
         let value = times(row, "seconds", 1.0).or_else(|_| times(row, "milliseconds", 1e-3))?;
-        // A time too short for the processor's account is none.
+        // A time too short for the processor's clock is missing.
         Ok(Measured { name: named(row, names)?, value, processor: times(row, "processor", 1.0).ok() })
     });
     let rows = rows.collect::<Result<_>>()?;
     Ok(Record { kind, rows, conditions, built: None, again })
 }
 
-/// Options that measure stages of the same sizes and the same precision; `None` for a model from a file.
+/// Returns the options that measure stages of the same sizes and the same precision; `None` for a model from a file.
 fn stages_again(rows: &[Value]) -> Option<Vec<String>> {
     let of = |key: &str| {
         let mut all: Vec<&str> = rows.iter().filter_map(|row| row.get(key)?.as_str()).collect();
@@ -113,7 +113,7 @@ fn stages_again(rows: &[Value]) -> Option<Vec<String>> {
     let precision = of("precision");
     let [precision] = precision[..] else { return None };
     let mut again = ["--size", size, "--precision", precision].map(String::from).to_vec();
-    // A record of one stage: that stage alone.
+    // A record of one stage measures only that stage.
     if let [name] = of("name")[..] {
         again.extend(["--only", name].map(String::from));
     }

@@ -77,7 +77,7 @@ impl Comparison {
         text
     }
 
-    /// The same in Markdown: the summary, what changed, and the rest folded.
+    /// The comparison in Markdown: the summary, changed rows, and the others folded.
     pub(super) fn markdown(&self) -> String {
         let mark = if self.is_worse() { "❌" } else { "✅" };
         let mut text = format!("**{mark} {}**\n", self.summary());

@@ -1,4 +1,4 @@
-//! Depth as the colour camera sees it, for sensors with two cameras at different places.
+//! Depth in the colour camera's view, for sensors with two cameras at different positions.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use serde::Deserialize;
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Registration {
-    /// Where the numbers come from.
+    /// Source of the numbers.
     #[expect(dead_code, reason = "for readers of the file")]
     about: String,
     /// Focal lengths, in longer sides of the picture.
@@ -28,8 +28,8 @@ impl Registration {
         serde_json::from_str(&text).with_context(|| path.display().to_string())
     }
 
-    /// Inverse depth in 1/mm `[H, W]`, NaN where there is none, moved to the colour camera's pixels: each value falls
-    /// on the four pixels around its place, the nearest one counts.
+    /// Inverse depth in 1/mm `[H, W]`, NaN where there is none, moved to the colour camera's pixels. Each value is
+    /// written to the four pixels around its position; the nearest value counts.
     pub(super) fn apply(&self, inverse: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
         let mut out = vec![f32::NAN; inverse.len()];
         let longer = height.max(width) as f64;
@@ -75,7 +75,7 @@ mod tests {
         let seen = same.apply(&inverse, size);
         // The hole is filled by its neighbours' footprints alone.
         assert_eq!(seen, vec![0.001; 32]);
-        // A thing at one metre is moved by 250 mm · 8 px / 1000 mm.
+        // An object at one metre is moved by 250 mm · 8 px / 1000 mm.
         let moved = Registration { translation: [250.0, 0.0, 0.0], ..same };
         let mut thing = vec![f32::NAN; 32];
         thing[9] = 0.001;

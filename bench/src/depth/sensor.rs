@@ -1,7 +1,7 @@
 //! `depth --sensor`: depth found by parallax compared with a sensor's.
 //!
-//! For every key frame of a clip: Spearman's rank correlation of the inverse depth that the engine found with the
-//! sensor's, over the pixels that the sensor measured, at the size at which the model sees them.
+//! For every key frame of a clip it prints Spearman's rank correlation of the engine's inverse depth with the sensor's.
+//! Pixels are those that the sensor measured, at the size of the model's input.
 
 use std::path::Path;
 
@@ -94,7 +94,7 @@ impl Row {
     }
 }
 
-/// Spearman's rank correlation; `None` where one side has one value alone.
+/// Spearman's rank correlation; `None` where all values of one side are equal.
 fn rank_correlation(pairs: &[(f32, f32)]) -> Option<f64> {
     let [a, b] = [ranks(pairs.iter().map(|pair| pair.0).collect()), ranks(pairs.iter().map(|pair| pair.1).collect())];
     let middle = (pairs.len() as f64 - 1.0) * 0.5;

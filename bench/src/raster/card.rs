@@ -11,7 +11,7 @@ use crate::timing::{Seconds, once};
 
 /// One pixel in this many may differ by more than [`CLOSE`].
 const ONE_IN: usize = 2000;
-/// How close the others are.
+/// Largest difference of the other pixels.
 const CLOSE: f32 = 2.0 / 255.0;
 
 /// Compares every scene's image with the CPU's, then measures. A row's `error` is the largest difference.

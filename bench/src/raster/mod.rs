@@ -76,7 +76,7 @@ impl From<Work> for Stages {
 }
 
 impl Stages {
-    /// Time and share of each.
+    /// Time and share of each stage.
     fn cells(&self) -> [String; 4] {
         let all = [self.project, self.bin, self.sort, self.blend];
         let total = all.iter().sum::<f64>().max(1e-9);
@@ -97,7 +97,7 @@ struct SceneTiming {
     error: f64,
 }
 
-/// Work of one image, and the work left out.
+/// Work of one image, and skipped work.
 #[derive(Serialize)]
 struct Counts {
     culled: u64,
@@ -181,7 +181,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     })
 }
 
-/// Scenes that are drawn from nothing.
+/// Scenes that are drawn as a whole.
 const WHOLE: [(&str, fn() -> Result<Scene>); 4] = [
     ("paper-grid", || Ok(Scene::paper_grid())),
     ("anisotropic-720p", || Ok(Scene::anisotropic_720p())),
@@ -189,7 +189,7 @@ const WHOLE: [(&str, fn() -> Result<Scene>); 4] = [
     ("predicted", Scene::predicted),
 ];
 
-/// The turned Gaussians in ways that the CPU alone draws.
+/// The turned Gaussians with optics that only the CPU draws.
 const OPTICS: [(&str, fn() -> Result<Scene>); 3] = [
     ("footprint-720p", || Ok(Scene::anisotropic_720p().ending())),
     ("lens-720p", || Ok(Scene::anisotropic_720p().blurred())),
@@ -221,8 +221,7 @@ const GROWTH: Table<'_> = Table(&[
     Column::Number("blend", 11),
 ]);
 
-/// Draws the scenes in turn, `repeat` times over; from nothing each, or (`keep`) redrawing what changed from one to the
-/// next.
+/// Draws the scenes in turn, `repeat` times: each as a whole, or with `keep` only the changes from one to the next.
 fn measure(level: Level, name: &str, scenes: &[Scene], keep: bool, repeat: usize) -> Result<SceneTiming> {
     let mut rasteriser = Rasteriser::new(level);
     let mut error = 0.0_f64;
@@ -321,8 +320,8 @@ fn check(rasteriser: &Rasteriser, scene: &Scene) -> Result<f64> {
     let pixels = scene.request.width * scene.request.height;
     let found = &rasteriser.image().rgb;
     ensure!(found.len() == expected.rgb.len(), "{} values, expected {}", found.len(), expected.rgb.len());
-    // Rays of a panorama are formed in binary32: an α may be off by a thousandth, as in the kernel's own tests, which
-    // decides more thresholds.
+    // Rays of a panorama are formed in binary32. An α may be off by a thousandth, as in the kernel's own tests, so more
+    // pixels are near a threshold.
     let around = scene.projection == Projection::Equirectangular;
     let (doubt, share) = if around { (2e-3, 10) } else { (1e-5, 100) };
     let (mut worst, mut undecided) = (0.0_f64, 0);

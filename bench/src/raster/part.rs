@@ -33,19 +33,19 @@ const TABLE: Table<'_> = Table(&[
     Column::Number("hierarchy ms", 12),
 ]);
 
-/// Milliseconds of the processor per image, by the least of each camera's runs.
+/// Milliseconds of processor time per image, from the fastest run of each camera.
 #[derive(Serialize)]
 pub(super) struct PartTiming {
     name: String,
     gaussians: usize,
-    /// Per image, before anything is projected.
+    /// Gaussians left out per image, before projection.
     left_out: f64,
     whole: f64,
-    /// Where Gaussians are left out.
+    /// Time of an image in which Gaussians are left out.
     part: Option<f64>,
-    /// Once per scene: its groups.
+    /// Time per scene to build its groups.
     prepare: f64,
-    /// The same for a hierarchy over the Gaussians.
+    /// Time per scene to build a hierarchy over the Gaussians.
     hierarchy: f64,
 }
 
@@ -56,7 +56,7 @@ pub(super) fn run(level: Level, repeat: usize) -> Result<Vec<PartTiming>> {
     Ok(vec![still(&workers, repeat)?, interval(&workers, repeat)?])
 }
 
-/// Over all cameras: milliseconds for the whole scene and for a part of it, and how many were left out.
+/// Over all cameras: milliseconds for the whole scene and for a part of it, and the number of Gaussians left out.
 struct Sums {
     whole: f64,
     part: Option<f64>,
@@ -125,7 +125,7 @@ fn pinhole(eye: [f64; 3], target: [f64; 3], degrees: f64) -> Result<Camera> {
     Camera::pinhole(pose, degrees, SIZE[0] as f64 / SIZE[1] as f64).context("a lens")
 }
 
-/// The time to make a hierarchy over boxes.
+/// The time to build a hierarchy over boxes.
 fn hierarchy(boxes: impl Iterator<Item = Option<Bounds>>) -> f64 {
     let boxes: Vec<(u32, Bounds)> = (0..).zip(boxes).filter_map(|(i, bounds)| Some((i, bounds?))).collect();
     let watch = Stopwatch::start();

@@ -67,7 +67,7 @@ impl Scene {
         scene
     }
 
-    /// `count` Gaussians of the grid's statistics anywhere in its image.
+    /// `count` Gaussians with the grid's statistics anywhere in its image.
     pub(crate) fn scattered(count: usize) -> Self {
         let (mut scene, mut random) = (Self::canonical(512, 288), Random::new(2));
         let splats = &mut scene.splats;
@@ -113,7 +113,8 @@ impl Scene {
         self
     }
 
-    /// Its Gaussians in directions all around, in 2048×1024 pixels, where they are about as large.
+    /// The scene's Gaussians in directions all around the eye, in 2048×1024 pixels, where they have about the same
+    /// size.
     pub(crate) fn around(mut self) -> Self {
         let mut random = Random::new(5);
         for mean in &mut self.splats.mean {
@@ -150,7 +151,7 @@ impl Scene {
         })
     }
 
-    /// One Gaussian over the whole image behind 100,000 that are smaller than a pixel.
+    /// One Gaussian over the whole image behind 100,000 Gaussians smaller than a pixel.
     pub(crate) fn one_over_all() -> Self {
         let (mut scene, mut random) = (Self::canonical(512, 288), Random::new(4));
         scene.push_pixels([255.5, 143.5], [2000.0, 2000.0], 10.0, 0.9, [0.2, 0.4, 0.8]);
@@ -164,7 +165,7 @@ impl Scene {
         scene
     }
 
-    /// The Gaussians of the grid whose cells lie in one object of 5 % of the image.
+    /// The Gaussians of the grid whose cells are in one object of 5 % of the image.
     pub(crate) fn object(&self) -> Vec<usize> {
         let (w, h) = (self.request.width as f32, self.request.height as f32);
         let side = 0.05_f32.sqrt();
@@ -175,7 +176,7 @@ impl Scene {
         (0..self.splats.mean.len()).filter(|&i| inside(&self.splats.mean[i])).collect()
     }
 
-    /// Every twentieth Gaussian, in no order.
+    /// Every twentieth Gaussian, scattered.
     pub(crate) fn scatter(&self) -> Vec<usize> {
         let mut random = Random::new(5);
         (0..self.splats.mean.len()).filter(|_| random.unit() < 0.05).collect()

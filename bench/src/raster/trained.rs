@@ -1,4 +1,4 @@
-//! Scenes as training from many pictures makes them: anisotropic Gaussians with harmonics of degree 3, seen at
+//! Scenes with the statistics of training from many pictures: anisotropic Gaussians with harmonics of degree 3, seen at
 //! 1920×1080 ([`streamsplat_fixtures::trained`]).
 
 use anyhow::{Context, Result, ensure};
@@ -36,19 +36,20 @@ pub(super) const TABLE: Table<'_> = Table(&[
 #[derive(Serialize, Deserialize)]
 pub(super) struct TrainedTiming {
     gaussians: usize,
-    /// Colours of the harmonics as the camera sees them.
+    /// Colours of the harmonics from the camera.
     colours: f64,
     /// The image from them.
     image: f64,
     stages: Stages,
     /// Both.
     forward: f64,
-    /// The map from colours to the image: made, and from a residual back to sums; where its weights take little enough.
+    /// The map from colours to the image: preparation, and the step from a residual to sums. Only where its weights
+    /// take little enough memory.
     prepare: Option<f64>,
     adjoint: Option<f64>,
     entries: u64,
     peak_rss_bytes: u64,
-    /// The image's largest difference from the binary64 reference, where that was made.
+    /// The image's largest difference from the binary64 reference, where that was computed.
     error: Option<f64>,
 }
 

@@ -66,12 +66,12 @@ fn or_none(x: Option<f64>) -> String {
     x.map_or_else(|| "-".to_owned(), |x| format!("{x:.2}"))
 }
 
-/// Work of a stage or of a part, done and in all.
+/// Work of a stage or of a part: done, and total.
 fn work(row: &VariantResult, name: &str) -> Option<[u64; 2]> {
     row.work.iter().find(|(stage, ..)| stage == name).map(|(_, done, avoided)| [*done, done + avoided])
 }
 
-/// The share of a part's work that some rows did; `None` where nothing could have been left out.
+/// The share of a part's work that some rows did; `None` where no work could be skipped.
 fn share(rows: &[&VariantResult], name: &str) -> Option<f64> {
     let counts: Option<Vec<[u64; 2]>> = rows.iter().map(|row| work(row, name)).collect();
     let [done, all] = counts?.iter().fold([0; 2], |sum, w| [sum[0] + w[0], sum[1] + w[1]]);

@@ -1,7 +1,7 @@
 //! The Pareto front of time and quality.
 
-/// Marks the points (time, quality) that no other dominates. A point is dominated by one that takes no more time and is
-/// no worse, and in one of the two is better. Equal points are on the front together.
+/// Marks the points (time, quality) that no other dominates. A point dominates another if it takes no more time, is no
+/// worse, and is better in one of the two. Equal points are on the front together.
 pub(super) fn front(points: &[(f64, f64)]) -> Vec<bool> {
     let dominates = |a: &(f64, f64), b: &(f64, f64)| a.0 <= b.0 && a.1 >= b.1 && a != b;
     points.iter().map(|point| !points.iter().any(|other| dominates(other, point))).collect()

@@ -1,4 +1,4 @@
-//! Configurations through a clip.
+//! Configurations on a clip.
 
 use std::collections::BTreeMap;
 
@@ -43,13 +43,13 @@ pub(crate) struct GridPoint {
     pub(super) processor: Option<Seconds>,
     /// Error of all images against those of f32 without reuse at the same gap: ‖a − b‖ / ‖b‖.
     pub(super) relative_l2: f64,
-    /// Largest difference of a sample from the same.
+    /// Largest difference of a sample from those images.
     pub(super) worst: f64,
-    /// Against the same; 100 where equal.
+    /// PSNR against those images; 100 where equal.
     pub(super) psnr_vs_f32: f64,
     /// Mean over all frames, against the true ones at 256×256.
     pub(super) psnr_vs_truth: f64,
-    /// Nothing is faster and at least as close to the true frames, nor as fast and closer.
+    /// True if no configuration is faster and at least as close to the true frames, or as fast and closer.
     pub(super) pareto: bool,
 }
 
@@ -69,7 +69,7 @@ fn bits(images: &[Picture]) -> impl Iterator<Item = u32> + '_ {
     images.iter().flat_map(|image| image.rgb.iter().map(|x| x.to_bits()))
 }
 
-/// f32 computes the same bits on another number of threads; exact reuse computes those of none.
+/// Checks that f32 computes the same bits on another number of threads, and exact reuse the same as no reuse.
 fn check(precisions: &[Precision], clip: &[TimedPicture], settings: &Settings) -> Result<()> {
     let clip = &clip[..clip.len().min(CHECKED)];
     let variant = |precision, reuse| Variant { precision, reuse, gap: Gap::Every(1) };

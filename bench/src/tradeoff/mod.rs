@@ -1,13 +1,13 @@
 //! `tradeoff`: error against run time on one clip, over precision, reuse and gap; and each stage's error and time per
 //! precision. On a folder of clips ([`clips`]): over resolution, motion, colours, gap and quality.
 //!
-//! One run writes CSV, JSON, Markdown and plots. All configurations go through the clip in turn, key frame by key
-//! frame, and that several times, so that what disturbs the machine disturbs all of them alike. Before anything is
-//! timed, f32 must compute the same bits on another number of threads and exact reuse those of none; in every later
-//! round every configuration must repeat its bits.
+//! One run writes CSV, JSON, Markdown and plots. All configurations take the clip in turn, key frame by key frame,
+//! several times, so that other load on the machine disturbs all of them equally. Before anything is timed, f32 must
+//! compute the same bits on another number of threads, and exact reuse the same as no reuse. In every later round every
+//! configuration must repeat its bits.
 //!
-//! A checkpoint runs at one number of tokens, because its decoder stores a row per token of two frames; so the
-//! resolution is the model's own. Other resolutions are other checkpoints (`--model`).
+//! A checkpoint runs at one number of tokens, because its decoder stores a row per token of two frames. So the
+//! resolution is the model's own; other resolutions need other checkpoints (`--model`).
 
 mod clips;
 mod front;
@@ -47,11 +47,12 @@ pub(crate) struct Options {
     /// For a folder of clips: take the figures from this record instead of measuring.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Where tradeoff.{csv,json,md,svg} and tradeoff-stages.{csv,svg} go.
+    /// Folder for tradeoff.{csv,json,md,svg} and tradeoff-stages.{csv,svg}.
     #[arg(long, value_name = "DIR", default_value = "tradeoff")]
     out: PathBuf,
-    /// `small`: the embedded model, or `--model`. `paper`: the published sizes with weights from a seed; of these,
-    /// whose pictures mean nothing, the stages alone, and key frames of a standing camera with and without reuse.
+    /// `small`: the embedded model, or `--model`. `paper`: the published sizes with weights from a seed. As its
+    /// pictures are meaningless, only the stages are measured, and key frames of a standing camera with and without
+    /// reuse.
     #[arg(long, value_enum, default_value_t = Size::Small)]
     size: Size,
     /// Checkpoint [default: the embedded one].
@@ -72,17 +73,17 @@ pub(crate) struct Options {
     /// Input frames that are used.
     #[arg(long, value_name = "N")]
     frames: Option<usize>,
-    /// Times every configuration goes through the clip.
+    /// Times every configuration takes the clip.
     #[arg(long, default_value_t = 3)]
     rounds: usize,
     /// Reference of the stages' errors: f64 (plain loops in binary64, seconds for the embedded model, some minutes for
     /// the paper's size), or f32 (the f32 network).
     #[arg(long, value_enum, default_value_t = Yardstick::F64)]
     against: Yardstick,
-    /// The time on the plot and of the Pareto front.
+    /// The clock of the plot and of the Pareto front.
     #[arg(long, value_enum, default_value_t = Clock::Wall)]
     clock: Clock,
-    /// A sentence for the record: under which conditions this was run.
+    /// A sentence for the record on the conditions of the run.
     #[arg(long, value_name = "TEXT", default_value = "")]
     note: String,
 }
@@ -105,7 +106,7 @@ enum Yardstick {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Clock {
-    /// The clock on the wall.
+    /// Wall-clock time.
     Wall,
     /// Time of the processor, on all threads.
     Processor,
@@ -204,7 +205,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     std::fs::create_dir_all(&options.out).with_context(|| format!("creating {}", options.out.display()))?;
     let pool = options.common.pool()?;
     let against = options.against;
-    // f32 is what the others are compared with.
+    // The others are compared with f32.
     let precisions = once_each(Precision::F32, &options.precision);
     let paper = options.size == Size::Paper;
     let task = stages::StageRun {
@@ -264,7 +265,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     write(options, &results)
 }
 
-/// All the files.
+/// Writes all files.
 fn write(options: &Options, results: &Results) -> Result<()> {
     let markdown = table::markdown(results);
     print!("{markdown}");

@@ -1,8 +1,8 @@
-//! The plots. Of configurations: quality over time, twice: against the true frames with the Pareto front, and against
-//! f32 without reuse. Of stages: error over time.
+//! The plots. Configurations have two of quality over time: against the true frames, with the Pareto front, and against
+//! f32 without reuse. Stages have one of error over time.
 //!
-//! Colours are precisions, shapes are gaps, and a shape is the more open the more is reused. Members of the front carry
-//! a number that a list below spells out. In the plot of stages, shapes are stages.
+//! Colours are precisions and shapes are gaps; a shape is the more open the more is reused. Members of the front have a
+//! number, which a list below explains. In the plot of stages, shapes are stages.
 
 use anyhow::{Context, Result, anyhow};
 use plotters::chart::MeshStyle;
@@ -30,7 +30,7 @@ pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 /// Colour, kind of shape, and how full it is.
 pub(super) type Mark = (RGBColor, usize, f64);
 
-/// Orders of magnitude of an axis from which on only powers of ten are marked.
+/// Ratio of an axis's ends from which on only powers of ten are marked.
 const WIDE: f64 = 1000.0;
 
 /// A logarithmic axis whose marks are 1, 2 and 5 times powers of ten.
@@ -148,7 +148,7 @@ pub(super) fn around(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f6
     (least - space, most + space)
 }
 
-/// Places for the numbers of points, clear of all points and of one another where that can be.
+/// Positions for the numbers of points, away from all points and from one another where possible.
 fn clear(points: &[(i32, i32)], all: &[(i32, i32)]) -> Vec<(i32, i32)> {
     let offsets =
         [(0, -20), (14, -16), (-14, -16), (18, 0), (-18, 0), (0, 20), (24, -24), (-24, -24), (0, -36), (30, 0)];
@@ -198,14 +198,14 @@ fn panel(
         })
         .collect();
     chart.draw_series(std::iter::once(PathElement::new(steps, FRONT.stroke_width(2)))).map_err(fail)?;
-    // The chart speaks in pixels of the whole picture.
+    // The chart uses pixels of the whole picture.
     let (left, top) = area.get_base_pixel();
     let at = |row: &GridPoint| {
         let (x, y) = chart.backend_coord(&(milliseconds(row), value(row)));
         (x - left, y - top)
     };
     let all: Vec<(i32, i32)> = rows.iter().map(at).collect();
-    // Open shapes come after filled ones, which would hide them.
+    // Open shapes are drawn after filled ones, which would hide them.
     for row in rows {
         shape(area, at(row), key.mark(row))?;
     }
@@ -243,7 +243,7 @@ pub(super) fn colour(place: usize) -> RGBColor {
     COLOURS[place % COLOURS.len()]
 }
 
-/// Where this was measured.
+/// Machine of the measurement.
 fn machine(results: &Results, rounds: usize) -> String {
     let about = &results.about;
     let threads = if about.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", about.threads) };
@@ -306,7 +306,7 @@ pub(super) fn svg(results: &Results) -> Result<String> {
     Ok(picture)
 }
 
-/// The stages as SVG. Points without a difference lie on the lower edge.
+/// The stages as SVG. Points without a difference are on the lower edge.
 pub(super) fn stages_svg(results: &Results) -> Result<String> {
     let (rows, about) = (&results.stages, &results.about);
     let milliseconds = |row: &stages::StageError| {

@@ -12,10 +12,10 @@ use super::Yardstick;
 use crate::model::{Model, Which};
 use crate::timing::{Seconds, Spent, Stopwatch};
 
-/// Frames between the two that are compared, where the clip has as many.
+/// Distance of the two compared frames, where the clip has that many.
 const APART: usize = 4;
-/// Values below this fraction of the largest are left out of [`StageError::worst_ulp`]: their rounding is that of the
-/// larger terms they are sums of.
+/// Values below this fraction of the largest are left out of [`StageError::worst_ulp`]: they are sums of larger terms,
+/// whose rounding dominates.
 const COUNTED: f64 = 0.01;
 /// Stages, in the order of the computation.
 const STAGES: [&str; 4] = ["encoder", "upsampler", "decoder", "heads"];
@@ -31,8 +31,8 @@ pub(super) struct StageRun<'a> {
     pub(super) rounds: usize,
 }
 
-/// A stage at a precision. Its input is what the stages before gave at the same precision, so that errors add up as in
-/// a stream.
+/// A stage at a precision. Its input is the result of the previous stages at the same precision, so that errors add up
+/// as in a stream.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct StageError {
     pub(super) precision: &'static str,
@@ -42,7 +42,7 @@ pub(crate) struct StageError {
     /// max |found − expected| / max |expected|
     pub(super) worst: f64,
     /// max |found − expected| in units in the last place of f32 at `expected`, over all values of a hundredth of the
-    /// largest or more. None for lower precisions, whose operands do not have these places, and where f32 is compared
+    /// largest or more. `None` for lower precisions, whose operands do not have these places, and where f32 is compared
     /// with itself.
     pub(super) worst_ulp: Option<f64>,
     /// Times of a call.
@@ -55,7 +55,7 @@ pub(super) struct Stages {
     /// The model's resolution, width × height.
     pub(super) resolution: String,
     pub(super) rows: Vec<StageError>,
-    /// Results of the stages that the others are compared with.
+    /// Reference results of the stages.
     pub(super) expected: Vec<Vec<f64>>,
 }
 

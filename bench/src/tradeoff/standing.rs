@@ -1,8 +1,8 @@
 //! Key frames of a standing camera: time and error of reuse, in every precision.
 //!
-//! A frame of the clip at the model's size, of which a rectangle has its colours inverted in every other key frame: so
-//! that share of the patches changes from each key frame to the next. All choices of reuse take the same key frames in
-//! turn. The first two are not timed: they fill the caches. Errors are those of the last one.
+//! The input is a frame of the clip at the model's size. In every other key frame the colours of a rectangle are
+//! inverted, so that share of the patches changes from each key frame to the next. All choices of reuse take the same
+//! key frames in turn. The first two are not timed: they fill the caches. Errors are those of the last one.
 
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
@@ -20,7 +20,7 @@ use crate::timing::{Seconds, Spent, Stopwatch};
 
 /// Shares of the patches that change. Errors are those of the first.
 const SHARES: [f64; 3] = [0.05, 0.01, 0.2];
-/// Side of a patch of such models.
+/// Side of a patch of the StreamSplat models.
 const PATCH: usize = 8;
 /// Key frames before those that are timed.
 const FIRST: usize = 2;
@@ -49,12 +49,12 @@ pub(crate) struct StandingRow {
     pub(super) processor: Option<Seconds>,
     /// The median time (of the processor, where known) relative to that without reuse.
     pub(super) cost: f64,
-    /// Relative L2 error of embedding, static tokens, deformation tokens, and positions with velocities; at the first
-    /// share alone.
+    /// Relative L2 error of embedding, static tokens, deformation tokens, and positions with velocities; only at the
+    /// first share.
     pub(super) errors: Option<[f64; 4]>,
 }
 
-/// The last key frame, and what it computes.
+/// The last key frame and its results.
 struct Way<'a> {
     session: Session<&'a Network>,
     dino: Option<DinoSession<&'a Dino>>,
@@ -78,7 +78,7 @@ impl Way<'_> {
         }
     }
 
-    /// All that one more key frame costs.
+    /// Does all work of one more key frame.
     fn push(&mut self, rgb: &[f32]) -> Result<()> {
         let resolution = self.session.network().config().resolution;
         let features = self.dino.as_mut().map(|dino| dino.features(rgb, resolution)).transpose()?;
@@ -134,8 +134,8 @@ fn frame(base: &[f32], [height, width]: [usize; 2], patch: usize, share: f64, in
     rgb
 }
 
-/// Rows and columns of the smallest rectangle of the grid's shape, or a little wider, that is at least `share` of the
-/// grid.
+/// Rows and columns of the smallest rectangle of the grid's shape, or a little wider, that covers at least `share` of
+/// the grid.
 fn rectangle([rows, columns]: [usize; 2], share: f64) -> [usize; 2] {
     let of_rows = ((share.sqrt() * rows as f64).round() as usize).clamp(1, rows);
     let wanted = share * (rows * columns) as f64 / of_rows as f64;

@@ -1,4 +1,4 @@
-//! A block of queries of one head passes over its window's keys.
+//! The pass of one head's block of queries over the keys of its window.
 
 #![expect(unsafe_code, reason = "register blocks read operands by pointer, and tasks write rows of one output")]
 
@@ -13,7 +13,7 @@ use crate::memory::Scratch;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Registers, Simd};
 
-/// Channels of a head in all models so far.
+/// Channels of a head in all known models.
 const USUAL_WIDTH: usize = 64;
 
 /// All keys and values as [`super::pack`] leaves them; empty in f32.
@@ -32,7 +32,7 @@ pub(super) struct Block<'a, A, W> {
     pub(super) q: Rows<'a>,
     pub(super) k: Rows<'a>,
     pub(super) v: Rows<'a>,
-    /// Converted operands of the lower modes, read in place of `k` and `v`.
+    /// Converted operands of the lower modes, read instead of `k` and `v`.
     pub(super) packed: Packed<'a>,
     pub(super) out: &'a Disjoint<'a, f32>,
     pub(super) forms: PhantomData<fn(A, W)>,
@@ -60,7 +60,7 @@ impl<A: Form, W: WeightedSum> Block<'_, A, W> {
                 WHOLE.is_multiple_of(KR) && KEY_BLOCK.is_multiple_of(KR),
                 "blocks of keys are whole register blocks"
             );
-            // Widths are multiples of 16: of the last channels there are none, two or four.
+            // Widths are multiples of 16: none, two or four channels are left at the end.
             assert!(matches!(CR, 4 | 6 | 8), "the last channels have a register block of their own");
         }
         let (heads, width) = (self.layout.shape.heads, self.layout.shape.width);
@@ -148,8 +148,8 @@ impl<A: Form, W: WeightedSum> Block<'_, A, W> {
 }
 
 impl<'a, A: Form, W: WeightedSum> Block<'a, A, W> {
-    /// The `present` keys from `start` on where they were written, with what follows them up to `rows`; or, where they
-    /// do not follow one another or memory ends before, in `copy`.
+    /// The `present` keys from `start` on, in place, with the memory behind them up to `rows`. Keys that are not
+    /// contiguous, or at the end of memory, are copied to `copy`.
     #[inline(always)]
     fn in_place<'b>(&self, start: usize, present: usize, rows: usize, copy: &'b mut Scratch) -> Keys<'b>
     where
@@ -185,7 +185,7 @@ impl<'a, A: Form, W: WeightedSum> Block<'a, A, W> {
         keys(words, width, values, width)
     }
 
-    /// The `present` converted keys from `start` on, with what follows them up to `rows`.
+    /// The `present` converted keys from `start` on, with the memory behind them up to `rows`.
     #[inline(always)]
     fn converted<S: Simd>(&self, start: usize, present: usize, rows: usize) -> Keys<'a> {
         let (window, head, width) = (self.task.window, self.task.head, self.layout.shape.width);
@@ -234,9 +234,9 @@ struct State<'a, A, W> {
     total: &'a mut [f32],
     /// `[panels][16]`: the references `M`.
     reference: &'a mut [f32],
-    /// `[panels][16]`: from scores to powers of 2.
+    /// `[panels][16]`: factors that turn scores into powers of 2.
     scales: &'a [f32],
-    /// `[panels][16]`: what the form of the keys adds to a score.
+    /// `[panels][16]`: offsets that the form of the keys adds to a score.
     offsets: &'a [i32],
     width: usize,
     words: usize,

@@ -1,24 +1,24 @@
-//! Where windows lie in the sequences and in packed memory, and the blocks of queries that tasks own.
+//! Places of windows in the sequences and in packed memory, and the blocks of queries that tasks own.
 
 use std::ops::Range;
 
 use super::rows::{KEY_BLOCK, QUERY_BLOCK, Shape, WHOLE, Windows};
 use crate::size::product;
 
-/// Where the tokens of windows lie, in the sequences and packed.
+/// Places of the windows' tokens, in the sequences and packed.
 pub(super) struct Layout {
     pub(super) shape: Shape,
     queries: usize,
     pub(super) keys: usize,
-    /// Where only some tokens of runs are queried.
+    /// The queries, where only some tokens of runs are queried.
     gathered: Option<Gathered>,
 }
 
-/// Rows of queries by the window they lie in.
+/// Rows of queries, sorted by window.
 struct Gathered {
     /// Rows of the queries, window by window.
     rows: Vec<u32>,
-    /// Where each window's begin, and the end.
+    /// Start of each window's rows, and the end of the last.
     starts: Vec<usize>,
 }
 
@@ -120,7 +120,7 @@ impl Layout {
         }
     }
 
-    /// Values that the packed keys (or values) of one head of one window take: whole register blocks of keys.
+    /// Length of the packed keys (or values) of one head in one window: whole register blocks of keys.
     pub(super) fn head_len(&self) -> usize {
         self.head_rows() * self.shape.width
     }
@@ -135,7 +135,7 @@ impl Layout {
         product([self.windows(), self.shape.heads, self.head_rows()])
     }
 
-    /// Where the scales of the keys of one head of one window lie.
+    /// Range of the scales of one head's keys in one window.
     pub(super) fn packed_scales(&self, window: usize, head: usize) -> Range<usize> {
         let start = (window * self.shape.heads + head) * self.head_rows();
         start..start + self.head_rows()
@@ -151,13 +151,13 @@ impl Layout {
         product([self.windows(), self.shape.heads, self.head_value_scales()])
     }
 
-    /// Where the scales of the values of one head of one window lie.
+    /// Range of the scales of one head's values in one window.
     pub(super) fn value_scales(&self, window: usize, head: usize) -> Range<usize> {
         let start = (window * self.shape.heads + head) * self.head_value_scales();
         start..start + self.head_value_scales()
     }
 
-    /// Values that the packed keys of all take.
+    /// Length of the packed keys of all heads and windows.
     pub(super) fn packed_len(&self) -> usize {
         product([self.windows(), self.shape.heads, self.head_len()])
     }

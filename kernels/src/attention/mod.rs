@@ -10,18 +10,18 @@
 //!   reference is `M = max(M, c·max s)`; earlier sums are scaled by `r = 2^(M_old − M)`.
 //! - The weight of a key is `2^(fma(s, c, −M))` (see `weight.rs`), never below `2^−64` nor, where logits are so large
 //!   that `M` is rounded by more, above 2.
-//! - `Σ w`: a block has four sums, of its keys 0, 4, 8 …, of 1, 5, 9 …, and so on, each ascending from +0; the block's
-//!   sum is `(0 + 1) + (2 + 3)`, and the query's sum becomes `fma(sum, r, block)`.
+//! - `Σ w`: a block has four sums, of its keys 0, 4, 8 …, of 1, 5, 9 …, and so on, each ascending from +0. The block's
+//!   sum is `(0 + 1) + (2 + 3)`; the query's sum becomes `fma(sum, r, block)`.
 //! - `Σ w v`: one chain over a block's keys, ascending, from +0; the query's sum becomes `fma(sum, r, block)`.
 //! - The result is `sum · (1 / Σ w)`.
 //!
 //! # How it runs
 //! Lanes are queries: a vector holds one key's score for 16 queries, so that softmax needs no sums across a vector.
 //! Keys and channels of values are the rows of the register block, queries and weights its panels; a block of weights
-//! is stored as the panel that its product with the values reads. A row's words may lie anywhere as long as the next
-//! row's are a fixed distance away, so that f32 keys and values are read where the projection wrote them
-//! ([`Rows::of_heads`] is how that is best); in the lower modes they are converted once, in the same order. Only a
-//! block of keys that is cut apart by the roll is copied.
+//! is stored as the panel that its product with the values reads. A row's words may be anywhere as long as the next
+//! row's are a fixed distance away. So f32 keys and values are read where the projection wrote them, best in the layout
+//! of [`Rows::of_heads`]. In the lower modes they are converted once, in the same order. Only a block of keys that is
+//! cut apart by the roll is copied.
 //!
 //! # Precision
 //! In the lower modes ([`attend_as`]) both products have smaller operands; the order of operations is otherwise the
@@ -33,14 +33,14 @@
 //!   product's inputs has (but at most 2⁴⁸). `s = f32(Σ integers)·b`, whose sum is exact, and `c` is multiplied by `a`
 //!   (rounded). A block of keys has a reference of its own, `B = max s·c`; its weights are the integers nearest to
 //!   `255·2^(s·c − B)` (the same short polynomial; ties to even), its values 8-bit integers with a scale `d` per
-//!   channel of the block. `Σ w` and `Σ w v` of a block are exact; with `M = max(M, B)`, `r` as above and `u = 2^(B −
-//!   M)` the query's sums become `fma(sum, r, f32(Σ w)·u)` and `fma(sum, r, f32(Σ w v)·(u·d))`. A weight less than
+//!   channel of the block. `Σ w` and `Σ w v` of a block are exact. With `M = max(M, B)`, `r` as above and `u = 2^(B −
+//!   M)`, the query's sums become `fma(sum, r, f32(Σ w)·u)` and `fma(sum, r, f32(Σ w v)·(u·d))`. A weight less than
 //!   1/510 of the largest of its block weighs nothing.
 //!
 //! # Extremes
-//! A logit that is NaN or −∞ weighs `2^−64` (`2^−56` in bf16) of the largest. If all logits of a row are such, the
-//! result is the mean of its values, as for a row in which every logit is +∞: while `M` is infinite, `r` is 1 where `M`
-//! stays and all weights are equal. A row with some logits at +∞ returns some mean of its values. In int8 a query or
+//! A logit that is NaN or −∞ weighs `2^−64` (`2^−56` in bf16) of the largest. A row in which all logits are NaN or −∞
+//! returns the mean of its values. So does a row in which every logit is +∞: while `M` is infinite, `r` is 1 where `M`
+//! stays, and all weights are equal. A row with some logits at +∞ returns some mean of its values. In int8 a query or
 //! key with a value that is not finite counts as zeros, and so does a channel of a block of values. Otherwise a NaN or
 //! infinite *value* reaches every row that sees its key: callers reject such input.
 //!
@@ -82,8 +82,8 @@ use weighted_sum::{Bf16Sum, F32Sum, Int8Sum, WeightedSum};
 /// Without keys the result is zero.
 ///
 /// # Panics
-/// When `width` is not a multiple of 16, when `k` and `v` differ in rows, when runs are requested and `q` and `k`
-/// differ in rows, when a matrix is narrower than `heads · width` or has heads of another width, or `out` has another
+/// When `width` is not a multiple of 16, when `k` and `v` differ in rows, or when runs are requested and `q` and `k`
+/// differ in rows. When a matrix is narrower than `heads · width` or has heads of another width, or `out` has another
 /// size.
 pub fn attend(level: Level, shape: Shape, q: Rows<'_>, k: Rows<'_>, v: Rows<'_>, out: &mut [f32]) {
     attend_as(Precision::F32, level, shape, q, k, v, out);
@@ -105,12 +105,12 @@ pub fn attend_as(
     run(precision, level, shape, None, q, k, v, out);
 }
 
-/// [`attend_as`] of some queries: row `i` of `q` and of `out` is that of the token `places[i]`. A row's bits do not
-/// depend on which others there are.
+/// [`attend_as`] for some of the queries: row `i` of `q` and of `out` belongs to token `places[i]`. A row's bits do not
+/// depend on the other rows.
 ///
 /// # Panics
-/// As [`attend`], but for the number of queries; when there are not as many places as queries, or, where runs are
-/// requested, one is not that of a key.
+/// As [`attend`], except that the number of queries is free. When there are not as many places as queries, or when runs
+/// are requested and a place is not that of a key.
 #[expect(clippy::too_many_arguments, reason = "those of `attend_as` and the places")]
 pub fn attend_some(
     precision: Precision,

@@ -12,8 +12,8 @@ use crate::memory::Scratch;
 use crate::simd::{LANES, Operation, Simd};
 
 /// Converts the keys and values of one head of one window: keys as `[keys][words]` in the form `A`; values as `W` holds
-/// them, by blocks of [`KEY_BLOCK`], as `[row words of the block's keys][width]`. A part at the end of `keys` and
-/// `values` may stay as it was.
+/// them, by blocks of [`KEY_BLOCK`], as `[row words of the block's keys][width]`. The end of `keys` and `values` may
+/// stay as it was.
 pub(super) struct Pack<'a, A, W> {
     pub(super) layout: &'a Layout,
     pub(super) k: Rows<'a>,

@@ -5,7 +5,7 @@ use crate::size::{checked_product, product};
 /// Keys of a block: whole register blocks on every level.
 pub const KEY_BLOCK: usize = 192;
 
-/// Queries of a task: while they pass over a block of keys, it stays in the second-level cache.
+/// Queries of a task. A block of keys stays in the second-level cache while they pass over it.
 pub(super) const QUERY_BLOCK: usize = 64;
 
 /// Converted keys take a multiple of this: whole register blocks on every level.
@@ -21,7 +21,7 @@ pub struct Rows<'a> {
     pub(super) rows: usize,
     /// From a row to the next.
     pub(super) stride: usize,
-    /// From a head to the next; none: it follows.
+    /// Distance from a head to the next; `None`: heads are contiguous.
     head: Option<usize>,
     pub(super) first: usize,
 }
@@ -72,14 +72,14 @@ impl<'a> Rows<'a> {
         &self.values[self.place(row, head, width)..][..width]
     }
 
-    /// A head's channels of `count` rows from `row` on, each `stride` after the one before, where `values` reaches so
-    /// far: rows past the last hold anything.
+    /// A head's channels of `count` rows from `row` on, each `stride` after the one before; `None` where `values` ends
+    /// before. The content of rows past the last is unspecified.
     #[inline(always)]
     pub(super) fn lines(&self, row: usize, count: usize, head: usize, width: usize) -> Option<&'a [f32]> {
         self.values.get(self.place(row, head, width)..)?.get(..(count - 1) * self.stride + width)
     }
 
-    /// Returns true if all heads lie inside.
+    /// Returns true if all heads are inside.
     pub(super) fn holds(&self, heads: usize, width: usize) -> bool {
         let (width_of_one, all) = match self.head {
             None => (width, self.stride),
@@ -96,8 +96,8 @@ impl<'a> Rows<'a> {
 pub enum Windows {
     /// All of them.
     Full,
-    /// The keys of its own run: the sequence rolled forward by `roll` (the last `roll` tokens wrap to the front) is cut
-    /// into consecutive runs of `length`; the last may be shorter. Needs as many queries as keys.
+    /// The keys of its own run. The sequence, rolled forward by `roll` (the last `roll` tokens wrap to the front), is
+    /// cut into consecutive runs of `length`; the last may be shorter. Needs as many queries as keys.
     Runs {
         /// Tokens of a run.
         length: usize,

@@ -2,7 +2,7 @@ use super::{KEY_BLOCK, Rows, Shape, Windows, attend, attend_as, attend_some, ref
 use crate::gemm::Precision;
 use crate::testing::{bits, noise, on_every_level_and_thread_count};
 
-/// The largest error against binary64, relative to the largest value; equality over levels and threads on the way.
+/// The largest error against binary64, relative to the largest value. Checks equality over levels and threads as well.
 fn error(shape: Shape, queries: usize, keys: usize, q: &[f32], k: &[f32], v: &[f32]) -> f64 {
     let Shape { heads, width, windows } = shape;
     let d = heads * width;
@@ -239,8 +239,8 @@ fn a_channel_of_values_that_is_not_finite_counts_as_zeros_in_its_block_in_bytes(
 
 #[test]
 fn what_another_block_outweighs_a_thousandfold_still_counts_in_bytes() {
-    // One key weighs as much as half of all others together, in a block of its own peak; each of those less than a byte
-    // of it.
+    // One key weighs half as much as all others together and is the peak of its block; each other key weighs less than
+    // one step of 8 bits of it.
     let (queries, keys) = (16, 12 * KEY_BLOCK);
     let v = noise(keys * 64, 3);
     let mut k = vec![0.0; keys * 64];

@@ -3,11 +3,11 @@
 use crate::math;
 use crate::simd::{SHIFTER, Simd};
 
-/// Weights are never below `2^LOWEST`: too little to count, and so much that its products with values are no denormal
-/// numbers, on which some CPUs spend far more time.
+/// Weights are never below `2^LOWEST`. This is too little to count, but enough that products with values are not
+/// denormal, which some CPUs compute far more slowly.
 const LOWEST: f32 = -64.0;
 
-/// The largest `t`: what rounding leaves of `s·c − M` is more only where logits pass 2²⁴.
+/// The largest `t`. The rounding error of `s·c − M` exceeds it only where logits pass 2²⁴.
 const HIGHEST: f32 = 1.0;
 
 /// `(2^f − 1)/f` on [−½, ½], minimax in the relative error of `2^f` (2.2e-8), lowest power first.
@@ -100,7 +100,7 @@ mod tests {
                 assert_eq!(w, dispatch(Level::scalar(), LowWeights(t)));
                 for j in 0..LANES {
                     let exact = f64::from(t[j]).exp2();
-                    // Half a last place of 8 bits, and what the short polynomial adds.
+                    // Half a last place of 8 bits, and the error of the short polynomial.
                     assert!((f64::from(w[j]) / exact - 1.0).abs() < 1.05 / 256.0, "2^{}: {}", t[j], w[j]);
                     assert_eq!(w[j].to_bits() & 0xffff, 0, "2^{} is no bf16", t[j]);
                 }

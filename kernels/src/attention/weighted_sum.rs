@@ -53,7 +53,8 @@ pub(super) trait WeightedSum: 'static {
     /// Turns scores into words of weights `[words][16]`, in their place.
     fn weigh<S: Simd>(s: S, scores: Scores<'_, S>) -> Weighed<S>;
 
-    /// Adds a block's sums of a channel, whose values have the scale `scale` where there are scales, to those before.
+    /// Adds a block's sums of a channel to those before. `scale` is the scale of the channel's values, where there are
+    /// scales.
     #[inline(always)]
     fn add<S: Simd>(s: S, before: S::F32, block: S::F32, weighed: &Weighed<S>, _scale: f32) -> S::F32 {
         s.mul_add(before, weighed.before, block)
@@ -165,10 +166,10 @@ impl WeightedSum for Int8Sum {
         let Scores { values: scores, present, scale, largest, reference } = scores;
         let own = s.mul(largest, scale);
         let now = s.max(own, reference);
-        // Past the last score lie zeros, or what an earlier block left: of no weight.
+        // Past the last score are zeros or an earlier block's scores: they get no weight.
         let words = present.div_ceil(4);
         scores[present * LANES..words * 4 * LANES].fill(f32::NEG_INFINITY);
-        // What marks numbers reaches the top of a word from the lowest two of them.
+        // Only the marks of the lowest two numbers remain in a word: those of the others are shifted out.
         let marks = s.splat_i32(NUMBERED.wrapping_add(NUMBERED << 8));
         let mut total = s.splat_i32(0);
         for i in 0..words {

@@ -1,12 +1,12 @@
 //! The rows of a matrix that moved since their last comparison.
 //!
-//! A row `x` moved away from its reference `r` by more than the tolerance `τ` unless `Σ (x − r)² ≤ τ² · Σ r²`; without
-//! a tolerance, as soon as one bit differs.
+//! A row `x` has moved from its reference `r` unless `Σ (x − r)² ≤ τ² · Σ r²` with the tolerance `τ`. Without a
+//! tolerance it has moved as soon as one bit differs.
 //!
 //! # Order of operations
-//! Both sums have 16 lanes: lane `i mod 16` takes its elements in ascending order (each by one fused multiply-add from
-//! +0, a last part of a row filled with zeros), then [`Simd::sum`] folds the lanes. `τ²` is rounded, then its product
-//! with the second sum.
+//! Both sums have 16 lanes. Lane `i mod 16` takes its elements in ascending order, each by one fused multiply-add from
+//! +0; the last part of a row is filled with zeros. Then [`Simd::sum`] folds the lanes. `τ²` is rounded, then its
+//! product with the second sum.
 //!
 //! # Extremes
 //! A row whose difference overflows, or that holds a NaN, moved. Rows are independent.
@@ -34,8 +34,8 @@ pub enum Tolerance {
     Relative(f32),
 }
 
-/// `out[i]` = whether row `i` of `x [out.len(), d]` moved away from row `at[i]` of `references [_, d]`, or from row `i`
-/// without `at`.
+/// Sets `out[i]` to whether row `i` of `x [out.len(), d]` moved from row `at[i]` of `references [_, d]`, or from row
+/// `i` without `at`.
 ///
 /// # Panics
 /// When `x` or `at` have another number of rows than `out`, or `references` too few.

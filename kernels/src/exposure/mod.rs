@@ -9,10 +9,10 @@
 //!
 //! and, for images that were drawn over nothing, whose colours are multiplied by their alpha a, `c̄ = ā·encode(Σ
 //! aᵢ·decode(cᵢ/aᵢ) / (N·ā))`, where ā is the mean of the alphas. Depth, alpha and transmittance are plain means.
-//! Colours under 0 count as 0; above 1 the same formulas go on.
+//! Colours under 0 count as 0; above 1 the same formulas apply.
 //!
 //! # Order of operations
-//! Binary32: images are added in the order in which they come, from +0; the sum is divided by N once. Powers are
+//! Binary32: images are added in the order of their arrival, from +0; the sum is divided by N once. Powers are
 //! `exp(2.4·log(x))` and `exp(log(x)·(1/2.4))` of [`crate::math`]. One image alone goes through the formulas as well.
 
 pub mod reference;
@@ -43,7 +43,7 @@ pub struct Exposure {
 }
 
 impl Exposure {
-    /// Nothing yet; `transparent`: colours are multiplied by alpha.
+    /// An empty sum. With `transparent`, colours are multiplied by alpha.
     pub fn new(level: Level, transparent: bool) -> Self {
         Self { level, transparent, count: 0, image: Image::default() }
     }
@@ -94,7 +94,8 @@ impl Exposure {
         self.count += 1;
     }
 
-    /// The mean of the added images; an image without pixels if there are none. The next image begins another.
+    /// Returns the mean of the added images; an image without pixels if there are none. The next added image begins a
+    /// new mean.
     pub fn mean(&mut self) -> Image {
         let mut image = std::mem::take(&mut self.image);
         let count = std::mem::take(&mut self.count).max(1) as f32;

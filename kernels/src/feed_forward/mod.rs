@@ -1,11 +1,11 @@
-//! The feed-forward layer of a transformer block, a residual branch on each row apart.
+//! The feed-forward layer of a transformer block: a residual branch on each row by itself.
 //!
 //! `x ← x + γ·(act(norm(x)·W₁ᵀ + b₁)·W₂ᵀ + b₂)` for `x [m,d]`, `W₁ [h,d]`, `W₂ [d,h]`; absent terms are left out.
 //!
 //! Every step is that of [`norm`](crate::norm) and [`gemm`](crate::gemm), with their orders of accumulation and their
-//! bits. A task takes a block of rows through all of them: normalised while they are packed, hidden values in memory of
-//! the task alone that stays in the second-level cache. Where there are too few rows for that, the two products are cut
-//! into tasks by themselves.
+//! bits. A task takes a block of rows through all of them. Rows are normalised while they are packed; hidden values are
+//! in memory of the task alone, which stays in the second-level cache. Where there are too few rows for that, the two
+//! products are cut into tasks separately.
 
 #[cfg(test)]
 mod tests;
@@ -37,14 +37,14 @@ pub struct FeedForward<'a> {
 /// Tasks that a layer is cut into where there are rows enough.
 const TASKS: usize = 24;
 
-/// The fewest that keep the threads busy to the end.
+/// The fewest tasks that keep the threads busy to the end.
 const FEWEST: usize = 8;
 
 impl FeedForward<'_> {
     /// `x ← x + …` for every row of `x [m, d]`. See [the module](self).
     ///
     /// # Panics
-    /// When `x` is no whole number of rows, or a weight or vector does not fit the others.
+    /// When `x` is not a whole number of rows, or a weight or vector does not fit the others.
     pub fn accumulate(&self, level: Level, x: &mut [f32]) {
         let (d, width) = (self.norm.width(), self.expand.n());
         assert_eq!(self.contract.n(), d, "W₂ gives {} values, expected d = {d}", self.contract.n());

@@ -1,8 +1,7 @@
-//! Colours where an image has none: what lies around goes on there, ever more smoothly.
+//! Fills pixels without colour from the colours around them, the farther from those the more smoothly.
 //!
-//! An image's pixel is `C + (1 − A)·b`: what was drawn, multiplied by its coverage A, on the background b. [`fill`]
-//! puts a colour of the surroundings in place of b, by pull and push (Gortler et al., The Lumigraph, 1996, section
-//! 3.4):
+//! An image's pixel is `C + (1 − A)·b`: the drawn colour, multiplied by its coverage A, on the background b. [`fill`]
+//! replaces b by a colour of the surroundings, by pull and push (Gortler et al., The Lumigraph, 1996, section 3.4):
 //!
 //! ```text
 //! pull    W' = ΣW   C' = ΣC   over the 2×2 (at an odd end fewer) pixels below, C' divided by W' and W' = 1 where W' is above 1
@@ -44,7 +43,7 @@ pub fn uncovered(image: &Image) -> f64 {
     alpha.iter().filter(|alpha| **alpha < 0.5).count() as f64 / alpha.len().max(1) as f64
 }
 
-/// Puts colours of what lies around in place of an image's background. Returns [`uncovered`].
+/// Replaces an image's background by the colours around it. Returns [`uncovered`].
 ///
 /// Alpha, depth and the other planes stay. Takes 5 bytes and a third per pixel while it works.
 ///
@@ -112,7 +111,7 @@ fn pull(width: usize, count: usize, pixel: impl Fn(usize) -> Pixel + Sync) -> Pl
     Plane { width: half, pixels }
 }
 
-/// A pixel over what the level above has at its place; at the top by itself.
+/// A pixel over the level above at its place; at the top level the pixel alone.
 #[inline]
 fn over(pixel: Pixel, above: Option<&Plane>, [x, y]: [usize; 2], background: [f32; 3]) -> Pixel {
     let [red, green, blue, weight] = pixel;
@@ -136,7 +135,7 @@ fn over(pixel: Pixel, above: Option<&Plane>, [x, y]: [usize; 2], background: [f3
     [colour(0, red), colour(1, green), colour(2, blue), 1.0]
 }
 
-/// The other pixel of the level above that a pixel lies between.
+/// The second of the two pixels of the level above that enclose a pixel.
 fn other(place: usize, above: usize) -> usize {
     let near = place / 2;
     if place.is_multiple_of(2) { near.saturating_sub(1) } else { (near + 1).min(above - 1) }

@@ -1,4 +1,4 @@
-//! [`fill`](super::fill) in binary64, without a pyramid in memory: each level is a function of the place.
+//! [`fill`](super::fill) in binary64, without a pyramid in memory: each level is a function of the pixel's position.
 
 /// The colour of the pixel at column `x`, row `y` of an image of `width` × `height` pixels `[colour × coverage,
 /// coverage]`.

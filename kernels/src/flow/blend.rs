@@ -8,7 +8,7 @@ use super::sample::{Sampler, column};
 use crate::Level;
 use crate::simd::Simd;
 
-/// Distance in pixels from the requested place, or from the picture, at which a source has half its weight.
+/// Distance in pixels from the requested position, or from the picture, at which a source has half its weight.
 const OFF: f32 = 4.0;
 /// Difference of the two frames' colours at which a source has lost half its weight.
 const UNLIKE: f32 = 0.3;
@@ -17,10 +17,9 @@ const NEAR: usize = 7;
 
 /// Two frames to be blended along the flow between them, at any time.
 ///
-/// With frames `a` (time 0) and `b` (time 1), all `[3, h, w]`, the flow F from `a` to `b` and B from `b` to `a`, a
-/// pixel x has two motions through it at time t. One starts in `a` at p and passes x, the other starts in `b` at q. A
-/// third explanation is that nothing moves, which is worth the more, the worse the other two explain the frames around
-/// x:
+/// Frames are `a` (time 0) and `b` (time 1), both `[3, h, w]`; F is the flow from `a` to `b` and B from `b` to `a`. At
+/// time t two motions pass through a pixel x: one starts in `a` at p, the other in `b` at q. A third explanation is
+/// that nothing moves. It weighs the more, the worse the other two explain the frames around x:
 ///
 /// ```text
 /// p = x − t·F(x − t·F(x))                      sources a(p) and b(p + F(p)), error e = |p + t·F(p) − x|
@@ -98,7 +97,7 @@ struct Between<'a> {
     t: f32,
 }
 
-/// How unlike the frames are along their motion, and without any.
+/// Difference of the frames along their motion, and without any motion.
 struct Unlike<'a> {
     motions: [Motion<'a>; 2],
 }
@@ -182,7 +181,7 @@ struct Motion<'a> {
 }
 
 impl Motion<'_> {
-    /// The sums of weight times colour of its two sources at time `t` on its way, and of their weights.
+    /// Sums of weight times colour over the motion's two sources at time `t`, and of their weights.
     #[inline(always)]
     fn sources<S: Simd>(&self, s: S, t: f32, y: usize, x: usize, n: usize) -> [S::F32; 4] {
         let Motion { own, other, field } = *self;

@@ -9,8 +9,8 @@ use crate::Level;
 use crate::parallel;
 use crate::simd::{LANES, Operation, Simd, dispatch};
 
-/// The flow of every pixel, `u` and `v` `[h, w]`: the mean over the patches that hold it, weighted by 1 / max(1,
-/// |difference|).
+/// Returns the flow of every pixel, `u` and `v` `[h, w]`: the mean over the patches that contain it, weighted by 1 /
+/// max(1, |difference|).
 ///
 /// Patches are added in ascending order of rows, then columns.
 pub(super) fn densify(level: Level, first: &Plane, second: &Plane, grid: &Grid, found: &[Found]) -> [Vec<f32>; 2] {

@@ -25,7 +25,7 @@ pub struct Field {
     pub v: Vec<f32>,
 }
 
-/// `N` planes `[h, w]` computed vector by vector, tasks of [`ROWS`] rows.
+/// Computes `N` planes `[h, w]` vector by vector, in tasks of [`ROWS`] rows.
 pub(super) fn planes<const N: usize, W>(level: Level, size: [usize; 2], out: &mut [f32], work: &W)
 where
     W: Work<N> + Sync,
@@ -95,7 +95,7 @@ impl Field {
     /// No motion.
     ///
     /// # Panics
-    /// When there is no room for it.
+    /// When memory for it cannot be allocated.
     pub fn zero(size: [usize; 2]) -> Field {
         let pixels = product(size);
         Field { size, u: vec![0.0; pixels], v: vec![0.0; pixels] }
@@ -104,7 +104,7 @@ impl Field {
     /// The displacement at column `x`, row `y`: bilinear, the border repeated.
     ///
     /// # Panics
-    /// On a field without pixels, or with other than a displacement for every pixel.
+    /// On a field without pixels, or without exactly one displacement per pixel.
     pub fn at(&self, x: f32, y: f32) -> [f32; 2] {
         assert!(!self.u.is_empty(), "a field without pixels");
         [sample_one(&self.u, self.size, x, y), sample_one(&self.v, self.size, x, y)]
@@ -113,7 +113,7 @@ impl Field {
     /// This field followed by `next`: `f(x) + next(x + f(x))`.
     ///
     /// # Panics
-    /// When the sizes differ, or are none of a [`Pyramid`](super::Pyramid).
+    /// When the sizes differ, or a [`Pyramid`](super::Pyramid) cannot have them.
     pub fn then(&self, level: Level, next: &Field) -> Field {
         let [u, v] = self.carried(level, next, "then");
         Field { size: self.size, u, v }
@@ -122,7 +122,7 @@ impl Field {
     /// The forward–backward error `|f(x) + back(x + f(x))|` of every pixel, in pixels.
     ///
     /// # Panics
-    /// When the sizes differ, or are none of a [`Pyramid`](super::Pyramid).
+    /// When the sizes differ, or a [`Pyramid`](super::Pyramid) cannot have them.
     pub fn round_trip(&self, level: Level, back: &Field) -> Vec<f32> {
         let [u, mut v] = self.carried(level, back, "round trip");
         for (v, u) in v.iter_mut().zip(&u) {

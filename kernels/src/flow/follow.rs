@@ -27,17 +27,16 @@ pub struct Step<'a> {
 /// Velocities, in pixels per unit of time, of points that start at `starts` (column, row; pixels have their centres at
 /// whole numbers) and follow `steps`.
 ///
-/// With `p₀` the start, `p_k = p_{k−1} + F_k(p_{k−1})` the place after step k (bilinear, the border repeated) and `s_k`
-/// its distance, a velocity is the slope of the line through `p₀` that comes nearest to the places in the sense of
-/// least squares,
+/// `p₀` is the start, `p_k = p_{k−1} + F_k(p_{k−1})` the position after step k (bilinear, the border repeated), `s_k`
+/// its distance in time. A velocity is the slope of the line through `p₀` that fits the positions by least squares:
 ///
 /// ```text
 /// v = Σ s_k·(p_k − p₀) / Σ s_k²          k ascending, a fused step each, in binary32
 /// ```
 ///
-/// Where there are several steps, a point ends before the first one that leaves the picture by more than half a pixel
-/// or that the flow back does not undo, to within 2 pixels and a tenth of the step's length. Points that are not finite
-/// or that end before the first step have no velocity: both of its numbers are NaN.
+/// Where there are several steps, a point ends before the first one that leaves the picture by more than half a pixel.
+/// It also ends before one that the flow back does not undo to within 2 pixels plus a tenth of the step's length.
+/// Points that are not finite or that end before the first step have no velocity: both of its numbers are NaN.
 ///
 /// # Panics
 /// When there is not one velocity per start, a field's buffers do not fit its size, or sizes differ.
@@ -45,8 +44,8 @@ pub fn follow(level: Level, starts: &[[f32; 2]], steps: &[Step<'_>], velocities:
     each(level, starts, steps, velocities, "follow", Follow);
 }
 
-/// Places that points from `starts` have after all `steps`; both numbers are NaN where a point is not finite or a step,
-/// even a single one, leaves the picture or does not come back ([`follow`]). Distances are ignored.
+/// Positions of points from `starts` after all `steps`. Both numbers are NaN where a point is not finite, or where any
+/// step leaves the picture or does not come back ([`follow`]). Distances are ignored.
 ///
 /// # Panics
 /// As [`follow`], `ends` for velocities.

@@ -28,10 +28,10 @@
 //!
 //! A patch is four vectors, rows 2i and 2i + 1 in vector i. Sums over a patch: lanes by fused steps in ascending order
 //! of the vectors (plain sums pair vectors 0 and 1, 2 and 3), then [`Simd::sum`]. Patches are searched in stripes of
-//! six rows of patches, row by row; in the first pass a stripe sees nothing of the others, in the second what the first
-//! pass gave there. Stripes are fixed, so threads change nothing. Pixels sum over patches in ascending order of rows,
-//! then columns. The refinement solves its systems by five steps of red-black over-relaxation (ω = 1.6), red (row +
-//! column even) first, where no pixel depends on another of its colour.
+//! six rows of patches, row by row; in the first pass a stripe reads nothing of the others, in the second it reads
+//! their results of the first pass. Stripes are fixed, so threads change nothing. Pixels sum over patches in ascending
+//! order of rows, then columns. The refinement solves its systems by five steps of red-black over-relaxation (ω = 1.6),
+//! red (row + column even) first, where no pixel depends on another of its colour.
 //!
 //! # Extremes
 //!
@@ -71,7 +71,7 @@ use search::{Grid, Guess};
 /// Luma `[h, w]` of `rgb` `[3, h, w]`: 0.299 R + 0.587 G + 0.114 B (BT.601).
 ///
 /// # Panics
-/// When the length is no multiple of 3.
+/// When the length is not a multiple of 3.
 pub fn luma(level: Level, rgb: &[f32]) -> Vec<f32> {
     assert!(rgb.len().is_multiple_of(3), "{} values in three planes", rgb.len());
     let area = rgb.len() / 3;
@@ -102,7 +102,7 @@ impl Operation for Luma<'_> {
     }
 }
 
-/// The flow from `first` to `second`: for every pixel of `first`, the offset of the matching place in `second`.
+/// The flow from `first` to `second`: for every pixel of `first`, the offset of the matching position in `second`.
 ///
 /// # Panics
 /// When the pyramids have different sizes or scales, `start` another size, or `options` a weight that [`Pyramid::new`]

@@ -1,4 +1,4 @@
-//! Parameters of the flow, and the frames that have none.
+//! Parameters of the flow, and the sizes of frames that it accepts.
 
 use std::fmt;
 
@@ -31,7 +31,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The largest weight of a term: sums of squared gradients with it stay far below what binary32 holds.
+    /// The largest weight of a term: sums of squared gradients times it stay far below the largest binary32 number.
     pub(super) const MAX_WEIGHT: f32 = 1e6;
 
     /// Refuses weights with which the refinement has no finite solution.
@@ -87,7 +87,7 @@ impl FlowError {
     /// Pixels of the largest frame.
     pub(super) const MOST: usize = 1 << 28;
 
-    /// Returns true if a frame of this size has pixels, and not too many: every place in it is a binary32 number.
+    /// Returns true if a frame of this size has pixels, and not too many: every coordinate in it is a binary32 number.
     pub(super) const fn allows([h, w]: [usize; 2]) -> bool {
         h > 0 && w > 0 && h <= Self::LONGEST && w <= Self::LONGEST && h * w <= Self::MOST
     }

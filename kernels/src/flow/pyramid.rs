@@ -141,8 +141,8 @@ impl Scale {
     }
 }
 
-/// Luma of one frame at every scale with its derivatives. Made once, it serves the pairs with the frame before and
-/// after, both ways.
+/// Luma of one frame at every scale with its derivatives. Built once, it is used for the pairs with the frame before
+/// and the frame after, in both directions.
 ///
 /// Scale k + 1 has half the rows and columns of scale k, rounded up; a value is the mean of 2×2, the border repeated.
 /// Derivatives are Sobel's, a central difference with the weights ¼, ½, ¼ across.

@@ -72,7 +72,7 @@ pub fn patch(first: &Picture, second: &Picture, [y, x]: [isize; 2], [u, v]: [f64
     (differences.iter().map(|d| d * d).sum(), slope)
 }
 
-/// Flow of every pixel from patches: first pixel (row, column) and displacement.
+/// Flow of every pixel from patches, each a first pixel (row, column) and a displacement.
 pub fn densify(first: &Picture, second: &Picture, patches: &[([usize; 2], [f64; 2])]) -> [Picture; 2] {
     let mut sums = vec![[0.0; 3]; first.h * first.w];
     for &([y, x], [u, v]) in patches {

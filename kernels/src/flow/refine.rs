@@ -15,8 +15,8 @@ const EPSILON: f32 = 1e-6;
 /// ζ², added to the squared gradients that normalise the data terms, and to the system's diagonal.
 const ZETA: f32 = 1e-2;
 
-/// Constants of a pixel: the flow W that the pictures were warped by, and the linearised data terms, each divided by
-/// the length of its gradient: brightness (x, y, rest), derivative along x (x, y, rest), derivative along y (x, y,
+/// Constants of a pixel: the flow W by which the pictures were warped, and the linearised data terms, each divided by
+/// the length of its gradient. The terms are brightness, derivative along x and derivative along y, each as (x, y,
 /// rest).
 const CONSTANTS: usize = 11;
 
@@ -196,7 +196,7 @@ impl Operation for Normalise<'_> {
                 let yy = half_difference(s, &slopes.y[above % 3][own..], &slopes.y[below % 3][own..]);
                 let xz = half_difference(s, &dz_own[x..], &dz_own[next..]);
                 let yz = half_difference(s, &dz_above[own..], &dz_below[own..]);
-                // Where the flow leaves the picture there are no data.
+                // Outside the picture the data terms are 0.
                 let at_x = s.add(s.load_partial(&u[x..x + n], 0.0), column(s, x));
                 let at_y = s.add(s.load_partial(&v[x..x + n], 0.0), s.splat(y as f32));
                 let inside = s.and(s.le(zero, at_x), s.le(at_x, right));

@@ -1,9 +1,9 @@
 //! Red-black over-relaxation of the system that `refine.rs` assembles.
 //!
-//! A half-step updates the pixels of one colour, whose neighbours all have the other: no update sees another of the
-//! same half-step, so neither their order nor the tasks they are cut into change a bit. The half-steps of a solve are
-//! done in bands of rows that stay in the cache: first a trapezoid of every band that shrinks by a row on either side a
-//! half-step, then the gaps between the bands, which grow likewise.
+//! A half-step updates the pixels of one colour, whose neighbours all have the other colour. No update reads another of
+//! the same half-step, so neither their order nor their division into tasks changes a bit. The half-steps of a solve
+//! run in bands of rows that stay in the cache. First comes a trapezoid of every band, which shrinks by a row on either
+//! side per half-step; then the gaps between the bands, which grow likewise.
 
 #![expect(unsafe_code, reason = "tasks update rows of one field, whose neighbours are read by pointer")]
 
@@ -87,7 +87,7 @@ impl Operation for Band<'_, '_> {
                 let around = |parity: usize, row: isize, kind: usize| places.start(y + row, parity, kind);
                 let at = |kind: usize| system.places.start(y, own, kind);
                 let above = system.places.start(y - 1, own, EDGE_Y);
-                // One before the neighbour on the left in the same place.
+                // One before the left neighbour of the same index.
                 let beside = system.places.start(y, other, EDGE_X) + own - 1;
                 let (u, v) = (around(own, 0, 0), around(own, 0, 1));
                 let sides = around(other, 0, 0) + own - 1;

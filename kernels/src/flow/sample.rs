@@ -77,7 +77,7 @@ impl<S: Simd> Taps<S> {
     #[inline(always)]
     pub fn take(&self, s: S, plane: &[f32]) -> S::F32 {
         assert!(plane.len() > self.last, "a tap beyond the plane");
-        // SAFETY: no tap lies behind the last value of the picture, which the plane has.
+        // SAFETY: no tap is behind the last value of the picture, which the plane has.
         let [a, b, c, d] = unsafe {
             [
                 gather(s, plane, &self.taps[0]),
@@ -93,7 +93,7 @@ impl<S: Simd> Taps<S> {
 }
 
 /// # Safety
-/// All taps lie in the plane.
+/// All taps are in the plane.
 #[inline(always)]
 unsafe fn gather<S: Simd>(s: S, plane: &[f32], taps: &[u32; LANES]) -> S::F32 {
     let mut lanes = [0.0; LANES];

@@ -10,7 +10,7 @@ use crate::simd::{Operation, Simd, dispatch};
 
 /// Vectors of a patch, two rows each.
 const VECTORS: usize = PATCH / 2;
-/// Rows of patches of a task. Motion is handed on inside a task and, between the passes, across tasks.
+/// Rows of patches of a task. Motion propagates inside a task and, between the passes, across tasks.
 const STRIPE: usize = 6;
 /// Added to the diagonal of the structure tensor: 64 pixels with a gradient of 1 level per pixel. Keeps flat patches
 /// where they are.
@@ -20,7 +20,7 @@ const SETTLED: f32 = 1e-4;
 /// Candidates nearer to each other than this, squared, are one.
 const SAME: f32 = 1e-2;
 
-/// Where the patches of a picture lie: every `stride` pixels, the last ones flush with the far border.
+/// Places of a picture's patches: every `stride` pixels, the last ones flush with the far border.
 pub(super) struct Grid {
     pub ys: Vec<usize>,
     pub xs: Vec<usize>,
@@ -36,7 +36,7 @@ impl Grid {
     }
 }
 
-/// A patch's displacement and its cost, the squared differences after both patches' means were taken off.
+/// A patch's displacement and its cost: the squared differences after both patches' means are subtracted.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Found {
     pub u: f32,
@@ -174,7 +174,7 @@ fn is_same(a: [f32; 2], b: [f32; 2]) -> bool {
     x * x + y * y < SAME
 }
 
-/// The cheapest of some displacements, the first of equals.
+/// The cheapest of several displacements; of equals, the first.
 struct Best {
     sums: Sums,
     places: [[f32; 2]; 8],
@@ -210,13 +210,13 @@ struct Sums {
     slope: [f32; 2],
 }
 
-/// A patch of the first picture that looks for itself in the second.
+/// A patch of the first picture that is searched for in the second.
 struct Patch<'a, S: Simd> {
     second: &'a Plane,
     y: f32,
     x: f32,
     luma: [S::F32; VECTORS],
-    /// Derivatives less their means: what all pixels of a patch gain or lose alike then moves nothing.
+    /// Derivatives minus their means, so that a change of brightness common to all pixels of a patch moves nothing.
     dx: [S::F32; VECTORS],
     dy: [S::F32; VECTORS],
     /// The inverse of Σ ∇∇ᵀ + damping: xx, xy, yy.
@@ -236,7 +236,7 @@ impl<'a, S: Simd> Patch<'a, S> {
         Self { second, y: y as f32, x: x as f32, luma, dx, dy, inverse: [yy * scale, -(xy * scale), xx * scale] }
     }
 
-    /// The differences at a displacement, which is brought so near that patch and picture overlap.
+    /// The differences at a displacement, which is first shortened until patch and picture overlap.
     #[inline(always)]
     fn at(&self, s: S, [u, v]: [f32; 2]) -> Sums {
         let pad = PAD as f32;
@@ -296,7 +296,7 @@ impl<'a, S: Simd> Patch<'a, S> {
     }
 }
 
-/// A patch's place on one axis, so near that it overlaps the picture.
+/// A patch's position on one axis, moved until it overlaps the picture.
 #[inline(always)]
 fn clamp(p: f32, n: usize) -> f32 {
     let p = if p < n as f32 - 1.0 { p } else { n as f32 - 1.0 };
@@ -319,7 +319,7 @@ fn rows<S: Simd>(s: S, plane: &Plane, y: usize, x: usize) -> [S::F32; VECTORS] {
     patch
 }
 
-/// A patch less its mean.
+/// A patch minus its mean.
 #[inline(always)]
 fn centred<S: Simd>(s: S, mut patch: [S::F32; VECTORS]) -> [S::F32; VECTORS] {
     let sum = s.sum(s.add(s.add(patch[0], patch[1]), s.add(patch[2], patch[3])));

@@ -1,16 +1,16 @@
-//! Planes in which even and odd columns lie apart, so that one colour of a chessboard is whole vectors.
+//! Planes in which even and odd columns are separate, so that one colour of a chessboard is whole vectors.
 
 use crate::memory::Scratch;
 use crate::simd::LANES;
 
-/// `KINDS` values per pixel. A row holds those of the even columns, then those of the odd ones; zeros lie around the
-/// picture: a row above and below, [`LANES`] values and the rest of a vector left and right.
+/// `KINDS` values per pixel. A row holds those of the even columns, then those of the odd ones. The picture is
+/// surrounded by zeros: a row above and below, [`LANES`] values and the rest of a vector left and right.
 pub(super) struct Split<const KINDS: usize> {
     pub places: Places<KINDS>,
     pub data: Scratch,
 }
 
-/// Where the values of a [`Split`] lie.
+/// Index arithmetic of a [`Split`].
 #[derive(Clone, Copy)]
 pub(super) struct Places<const KINDS: usize> {
     /// Values of a row of one kind and parity.

@@ -20,7 +20,7 @@ pub enum Activation {
 
 /// Epilogue of a product `p`: `y = activation(p + bias)`, then `out = γ·y`, or, with a residual, `out += γ·y`.
 ///
-/// Rows of `out` hold all columns, or lie otherwise: see [`Epilogue::in_groups_of`] and [`Epilogue::shuffled`].
+/// Rows of `out` hold all columns unless [`Epilogue::in_groups_of`] or [`Epilogue::shuffled`] sets another layout.
 ///
 /// `p + bias` is a plain addition. Without `γ` the residual is a plain addition; with it `γ·y + out` is rounded once.
 ///
@@ -81,7 +81,7 @@ impl<'a> Epilogue<'a> {
         self
     }
 
-    /// Adds to what `out` holds instead of replacing it.
+    /// Adds to the values in `out` instead of replacing them.
     #[must_use]
     pub const fn residual(mut self) -> Self {
         self.residual = true;
@@ -96,10 +96,10 @@ impl<'a> Epilogue<'a> {
         self
     }
 
-    /// Writes rows that are the tokens of a grid with this many columns, line by line, each as 2×2 tokens of a grid
-    /// twice as fine (a pixel shuffle): the columns of a product are four groups, left and right of the upper and of
-    /// the lower line, so that `out [m/columns][2][columns][2][n/4]` holds column `(2i + j)·n/4 + c` of token `(y, x)`
-    /// at `[y][i][x][j][c]`.
+    /// Writes a pixel shuffle: rows are the tokens of a grid with this many columns, line by line, and each becomes 2×2
+    /// tokens of a grid twice as fine. The columns of a product are four groups, left and right of the upper and of the
+    /// lower line: `out [m/columns][2][columns][2][n/4]` holds column `(2i + j)·n/4 + c` of token `(y, x)` at
+    /// `[y][i][x][j][c]`.
     #[must_use]
     pub const fn shuffled(mut self, columns: usize) -> Self {
         self.layout = Layout::Shuffled(columns);
@@ -202,7 +202,7 @@ pub(super) struct Affine<S: Simd> {
 }
 
 impl<S: Simd> Affine<S> {
-    /// The epilogue without a function; `before` is what the output holds where there is a residual.
+    /// The epilogue without a function; `before` is the value in the output where there is a residual.
     #[inline(always)]
     pub(super) fn apply(&self, s: S, p: S::F32, before: S::F32) -> S::F32 {
         self.finish(s, s.add(p, self.bias), before)

@@ -16,7 +16,7 @@ pub(crate) trait Multiply: 'static {
     /// Row words that go with one word of a panel on a level.
     fn row_words_of_a_word<S: Simd>() -> usize;
 
-    /// The sums of one block of `words`, starting from nothing; `hook` is called before every [`HOOK_STEPS`] of them.
+    /// The sums of one block of `words`, from +0; `hook` is called before every [`HOOK_STEPS`] of them.
     ///
     /// # Safety
     /// `MR` rows are readable for the block's row words, every pointer of `panels` for `16 words`.
@@ -40,14 +40,14 @@ pub(crate) trait Form: Multiply {
     /// infinite where a value is not finite.
     fn convert<S: Simd>(s: S, row: &[f32], largest: Option<f32>, values: &mut [f32], words: &mut [u32]) -> f32;
 
-    /// Turns a row into the words of one lane of a panel; returns its scale and what [`Form::of_row`] takes off. The
-    /// words are the same on every level.
+    /// Turns a row into the words of one lane of a panel; returns its scale and the offset that [`Form::of_row`]
+    /// subtracts. The words are the same on every level.
     fn convert_column<S: Simd>(s: S, row: &[f32], values: &mut [f32], words: &mut [u32]) -> (f32, i32);
 
     /// Adds a block's sums to those before.
     fn add<S: Simd>(s: S, before: S::F32, block: S::F32) -> S::F32;
 
-    /// The product from its sums, but for the scales of the columns.
+    /// The product from its sums, without the scales of the columns.
     fn of_row<S: Simd>(s: S, sum: S::F32, row_scale: f32, offsets: S::I32) -> S::F32;
 
     /// The product from its sums.

@@ -8,8 +8,8 @@ use crate::size::product;
 pub enum Input<'a> {
     /// As they are.
     Rows(&'a [f32]),
-    /// Normalised, row by row while they are packed: the same bits as those of [`norm`](crate::norm) before, without a
-    /// matrix between.
+    /// Normalised row by row while they are packed: the same bits as with [`norm`](crate::norm) before, without an
+    /// intermediate matrix.
     Normed(&'a [f32], Norm<'a>),
 }
 

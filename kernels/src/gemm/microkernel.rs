@@ -21,7 +21,7 @@ impl PrefetchHook for () {
     fn prefetch(&mut self) {}
 }
 
-/// The words of a register block's rows: that of row `r` in step `i` lies at `i·step + r·row`. Multiples of a
+/// The words of a register block's rows: that of row `r` in step `i` is at `i·step + r·row`. Multiples of a
 /// compile-time distance are compile-time constants.
 #[derive(Clone, Copy)]
 pub(crate) struct Strided {
@@ -130,7 +130,7 @@ pub(crate) fn interleave<'a, const MR: usize>(rows: usize, k: usize, row: impl F
         if first + MR <= rows {
             let from: [*const f32; MR] = std::array::from_fn(|r| row(first + r)[..k].as_ptr());
             let start = to.as_mut_ptr();
-            // The next group lies as far ahead as its rows are apart: it is prefetched while this one is copied.
+            // The next group begins `MR` row distances ahead: it is prefetched while this one is copied.
             let ahead = (from[1] as usize).wrapping_sub(from[0] as usize).wrapping_mul(MR);
             for i in (0..k / 4 * 4).step_by(4) {
                 if i % LANES == 0 {

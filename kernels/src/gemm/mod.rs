@@ -5,8 +5,8 @@
 //!
 //! # Order of accumulation
 //! `k` is cut into blocks of [`K_BLOCK`] ([`K_BLOCK_LOW`] in bf16). Inside a block one fused multiply-add per step, `k`
-//! ascending, starting from +0; block sums are added in ascending order (the first block's sum is taken as it is). The
-//! tile in which an element lies has no part in this, so the bits are the same on every level and for any number of
+//! ascending, starting from +0; block sums are added in ascending order (the first block's sum is taken as it is). This
+//! does not depend on the tile that holds an element, so the bits are the same on every level and for any number of
 //! threads.
 //!
 //! # Precision
@@ -21,10 +21,10 @@
 //!   zeros.
 //!
 //! # How it runs
-//! Weights lie in panels of 16 columns, `[n/16][k][16]`, padded with zeros. A task owns a block of rows and a range of
-//! panels (a fixed grid that follows from the sizes). For each panel it walks the blocks of `k`; a block of a panel
-//! stays in the first-level cache while all rows of the task pass over it, the rows stay in the second level. The sums
-//! of a panel wait in a small tile until their last block, then the epilogue writes them out.
+//! Weights are stored in panels of 16 columns, `[n/16][k][16]`, padded with zeros. A task owns a block of rows and a
+//! range of panels (a fixed grid that follows from the sizes). For each panel it walks the blocks of `k`. A block of a
+//! panel stays in the first-level cache while all rows of the task pass over it; the rows stay in the second level. The
+//! sums of a panel are kept in a small tile until their last block, then the epilogue writes them out.
 
 pub(crate) mod epilogue;
 pub(crate) mod form;

@@ -1,6 +1,6 @@
-//! Where the rows and columns of a product lie in its output.
+//! Places of a product's rows and columns in its output.
 
-/// Where rows and columns lie in the output.
+/// Layout of rows and columns in the output.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
 pub(super) enum Layout {
     /// `[m][n]`
@@ -12,10 +12,10 @@ pub(super) enum Layout {
     Shuffled(usize),
 }
 
-/// Column `j` of row `i` lies at `of_column(j) + i·stride + ⌊i/run⌋·jump`.
+/// Column `j` of row `i` is at `of_column(j) + i·stride + ⌊i/run⌋·jump`.
 #[derive(Clone, Copy)]
 pub(super) struct Places {
-    /// Columns that lie side by side.
+    /// Columns that are contiguous.
     width: usize,
     /// From a group of such columns to the next, of even and of odd ones.
     group: usize,

@@ -52,8 +52,8 @@ struct Grid {
 }
 
 impl Grid {
-    /// Row blocks that stay in a second-level cache, fewer rows where that would leave few tasks; ranges of panels only
-    /// where there are few rows, since each range interleaves its rows again.
+    /// Row blocks stay in a second-level cache, and have fewer rows where that would leave few tasks. Panels are cut
+    /// into ranges only where there are few rows, since each range interleaves its rows again.
     fn new(rows: usize, panels: usize, words: usize) -> Self {
         const TASKS: usize = 24;
         let most = if words <= 1024 { 96 } else { 48 };
@@ -246,7 +246,7 @@ impl<F: Form> Task<'_, F> {
         }
     }
 
-    /// Where the output's rows and columns lie.
+    /// Places of the output's rows and columns.
     #[inline(always)]
     fn places(&self) -> Places {
         self.product.epilogue.places(self.product.m, self.product.weights.n)
@@ -288,7 +288,7 @@ impl<F: Form> Task<'_, F> {
             // SAFETY: tasks own disjoint blocks of rows and columns.
             out[v] = unsafe { self.out.parts(from_row[v], last + from_row[v] + LANES) };
         }
-        // SAFETY: each vector lies inside the rows; the slice includes the last one.
+        // SAFETY: each vector is inside the rows; the slice includes the last one.
         unsafe {
             if of[0].0.residual {
                 for r in 0..MR {
@@ -369,7 +369,7 @@ struct Prefetches<const NV: usize> {
 }
 
 impl<const NV: usize> Prefetches<NV> {
-    /// For `blocks` register blocks of `words`, which write `height` rows that lie `stride` values apart.
+    /// For `blocks` register blocks of `words`, which write `height` rows that are `stride` values apart.
     #[inline(always)]
     fn new(words: usize, blocks: usize, height: usize, stride: usize) -> Self {
         let calls = words.div_ceil(HOOK_STEPS) as u32;

@@ -56,7 +56,7 @@ fn lower_precisions_give_their_defined_bits_everywhere() {
 fn weights_are_packed_alike_on_every_level() {
     for (_, n, k) in SIZES {
         let mut w = noise(n * k, 2);
-        // Values that a format flushes, rounds to zero, or has to leave out.
+        // Values that a format flushes, rounds to zero, or cannot hold.
         w.iter_mut().step_by(11).for_each(|w| *w *= 1e-17);
         w.iter_mut().step_by(13).for_each(|w| *w = -0.0);
         if let Some(w) = w.last_mut() {

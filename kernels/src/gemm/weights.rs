@@ -13,7 +13,7 @@ use crate::size::product;
 
 /// A linear layer's weight, packed for [`linear`](super::linear).
 ///
-/// The packing is the same on every level. It replaces the original: nothing needs `weight` afterwards.
+/// The packing is the same on every level. It replaces the original: `weight` can be dropped afterwards.
 #[derive(Clone)]
 pub struct Weights {
     pub(super) n: usize,
@@ -23,7 +23,7 @@ pub struct Weights {
     pub(super) panels: Aligned<u32>,
     /// Scale of the integers per column, to whole panels. Empty except for 8-bit integers.
     pub(super) scales: Vec<f32>,
-    /// Per column, to whole panels: 128 times the sum of its integers. Empty but for 8-bit integers.
+    /// Per column, to whole panels: 128 times the sum of its integers. Empty except for 8-bit integers.
     pub(super) offsets: Vec<i32>,
 }
 

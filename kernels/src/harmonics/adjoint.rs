@@ -31,19 +31,19 @@ const Y3: [f64; 5] = [
     1.445_305_721_320_277,
 ];
 
-/// Gradients of a loss with respect to what colours are made of.
+/// Gradients of a loss with respect to the inputs of colours.
 #[derive(Debug)]
 pub struct Gradients<'a> {
-    /// By the first coefficients, `[N]`; written over.
+    /// By the first coefficients, `[N]`; overwritten.
     pub base: &'a mut [[f32; 3]],
-    /// By the others, `[N, K, 3]`; written over.
+    /// By the others, `[N, K, 3]`; overwritten.
     pub higher: &'a mut [f32],
     /// By centres, `[N]`; added to.
     pub mean: &'a mut [[f32; 3]],
 }
 
-/// The adjoint of [`colours`](super::colours): from the gradients `of [N]` by the colours `out [N]` that it made of
-/// `higher` and `mean` to those in `to`. Returns the gradient by the eye's place.
+/// The adjoint of [`colours`](super::colours). Takes the gradients `of [N]` by the colours `out [N]`, computed from
+/// `higher` and `mean`, to those in `to`. Returns the gradient by the eye's position.
 ///
 /// # Panics
 /// When `degree` is above 3 or a slice has another length.

@@ -1,7 +1,7 @@
 //! Colours that depend on the direction they are seen from: real spherical harmonics up to degree 3.
 //!
-//! With d = (x, y, z) the unit direction from the eye to the Gaussian, coefficients c₀ … c₁₅ per channel, and the basis
-//! in the order and with the signs of the original 3D Gaussian splatting release,
+//! d = (x, y, z) is the unit direction from the eye to the Gaussian, c₀ … c₁₅ are the coefficients per channel. The
+//! basis has the order and the signs of the original 3D Gaussian splatting release:
 //!
 //! ```text
 //! Y₀  =  0.28209479177387814
@@ -16,13 +16,13 @@
 //!
 //! # Order of operations
 //!
-//! Seen from a point e: `v = m − e`, each component over the largest magnitude, `n = √(v_x² + v_y² + v_z²)` with the
-//! squares added from x to z by fused multiply-adds, `d = v / n`. At the eye itself d is (0, 0, 0), and only the first
-//! coefficient shows. Squares and products of d are rounded singly from left to right, brackets as written with fused
-//! multiply-adds; each constant is multiplied last. The sum starts at ½ and takes the coefficients in ascending order,
-//! one fused multiply-add each.
+//! Seen from a point e: `v = m − e`, each component divided by the largest magnitude; `n = √(v_x² + v_y² + v_z²)` with
+//! the squares added from x to z by fused multiply-adds; `d = v / n`. At the eye itself d is (0, 0, 0), and only the
+//! first coefficient shows. Squares and products of d are rounded singly from left to right, brackets as written with
+//! fused multiply-adds; each constant is multiplied last. The sum starts at ½ and takes the coefficients in ascending
+//! order, one fused multiply-add each.
 //!
-//! A coefficient or a position that is not finite makes its own Gaussian's colour NaN or infinite, and no other's.
+//! A coefficient or a position that is not finite makes only its own Gaussian's colour NaN or infinite.
 //!
 //! Source: Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering" (2023), and its release; Sloan,
 //! "Efficient Spherical Harmonic Evaluation" (2013), for the basis.
@@ -57,8 +57,7 @@ const Y3: [f32; 5] = [
 /// Gaussians of a task.
 const TASK: usize = 1 << 10;
 
-/// Coefficients above the first, per channel: (degree + 1)² − 1; `usize::MAX` − 1 where that is more than a number
-/// holds.
+/// Coefficients above the first, per channel: (degree + 1)² − 1; `usize::MAX` − 1 where that overflows.
 pub const fn rest(degree: usize) -> usize {
     let orders = degree.saturating_add(1);
     orders.saturating_mul(orders) - 1

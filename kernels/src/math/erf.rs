@@ -81,7 +81,8 @@ impl Tail {
     #[inline(always)]
     fn parts<S: Elementwise>(&self, s: S, x: S::F32) -> (S::F32, S::F32) {
         let a = s.min(s.splat(self.last), s.abs(x));
-        // t = 1/d, then moved by what the sum and the quotient lost: up to 3 ulp of the result near a = 0.
+        // t = 1/d, then corrected by the rounding errors of the sum and the quotient: up to 3 ulp of the result near a
+        // = 0.
         let d = s.add(a, s.splat(self.pole));
         let lost = s.sub(a, s.sub(d, s.splat(self.pole)));
         let t = s.div(s.splat(1.0), d);

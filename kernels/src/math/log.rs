@@ -1,4 +1,4 @@
-//! Logarithms, and functions made of them.
+//! Logarithms, and functions built from them.
 
 use super::exp::{self, LN2_HI, LN2_LO};
 use super::polynomial;

@@ -1,9 +1,9 @@
 //! Elementary functions, bit for bit the same on every level.
 //!
-//! Made of +, −, ×, /, fused multiply-add, square root and integer operations, all of them defined to the bit by
-//! [`Elementwise`], so the results are too. The vector functions take the token of a level; the functions of [`scalar`]
-//! run the same algorithms on one value. NaN returns NaN everywhere; results that are denormal are rounded as such
-//! (except in [`exp_nonpositive`], which may flush them).
+//! The functions consist of +, −, ×, /, fused multiply-add, square root and integer operations. [`Elementwise`] defines
+//! all of these to the bit, so the results are defined to the bit as well. The vector functions take the token of a
+//! level; the functions of [`scalar`] run the same algorithms on one value. NaN returns NaN everywhere; denormal
+//! results are rounded to denormal numbers (except in [`exp_nonpositive`], which may flush them).
 //!
 //! | function | largest error, ulp | at | measured over |
 //! |---|---|---|---|
@@ -22,13 +22,13 @@
 //! | [`sin_cos`], sine | 1.560 | −922.8229 | all patterns |
 //! | [`sin_cos`], cosine | 1.562 | −1840.216 | all patterns |
 //!
-//! Errors are in units of the last place of binary32 at the exact value, against [`mod@f64`]; the example `ulp` of this
-//! crate measures them (`cargo run --release -p streamsplat-kernels --example ulp -- exhaustive` over all 2³²
-//! patterns). Only [`log`] and [`erfinv`] were found to grow everywhere; the others may fall by a unit in the last
-//! place where they are flat (`exp` does at 2,914 of all arguments).
+//! Errors are in units of the last place of binary32 at the exact value, against [`mod@f64`]. The example `ulp` of this
+//! crate measures them: `cargo run --release -p streamsplat-kernels --example ulp -- exhaustive` goes over all 2³²
+//! patterns. Only [`log`] and [`erfinv`] grow everywhere; the others may fall by a unit in the last place where they
+//! are flat (`exp` does at 2,914 of all arguments).
 //!
-//! Two are for the lower precisions, where a result is rounded to 8 bits of significand or fewer at once: [`exp2_low`]
-//! is within 7.5e-5 of its value, [`silu_low`] within 1e-4 from −87 on.
+//! Two functions are for the lower precisions, where a result is then rounded to 8 bits of significand or fewer:
+//! [`exp2_low`] is within 7.5e-5 of its value, [`silu_low`] within 1e-4 from −87 on.
 //!
 //! Polynomials are minimax fits with coefficients rounded one after the other, the rest refitted; the remaining error
 //! is noted at each as a power of two, relative to the function.

@@ -3,13 +3,13 @@
 //! - RMS: `out = x · r · w`, `r = 1/√(mean(x²) + ε)`
 //! - layer: `out = (x − μ) · r · w + b`, `μ = mean(x)`, `r = 1/√(mean((x − μ)²) + ε)`
 //!
-//! Rows are independent. A sum over a row has 16 lanes: lane `i mod 16` takes its elements in ascending order (squares
-//! by fused multiply-add, the mean's terms by addition, a last part of a row filled with zeros), then [`Simd::sum`]
-//! folds the lanes. `x·r` and its product with `w` are rounded apart; `b` is added by fused multiply-add.
+//! Rows are independent. A sum over a row has 16 lanes. Lane `i mod 16` takes its elements in ascending order: squares
+//! by fused multiply-add, the mean's terms by addition, the last part of a row filled with zeros. Then [`Simd::sum`]
+//! folds the lanes. `x·r` and its product with `w` are rounded separately; `b` is added by fused multiply-add.
 //!
 //! A row whose largest magnitude is above 2⁴⁸ is scaled by 2⁻⁹⁶ before its squares are taken (and ε by 2⁻¹⁹², which is
-//! 0): no square overflows below the largest finite number. Small rows need nothing of the kind: ε outweighs their
-//! squares. A NaN or an infinity in a row makes that row's results NaN, and no other's.
+//! 0): no square overflows below the largest finite number. Small rows need no scaling: ε outweighs their squares. A
+//! NaN or an infinity in a row makes only that row's results NaN.
 //!
 //! Source: "StreamSplat (ICLR 2026)", encoder and decoder blocks (RMS, ε = 1e-5); DINOv2 (layer, ε = 1e-6).
 
@@ -34,7 +34,7 @@ const TASK: usize = 1 << 14;
 /// `out = x / √(mean(x²) + ε) · w` for every row of `x [rows, w.len()]`. See [the module](self).
 ///
 /// # Panics
-/// When `x` is no whole number of rows or `out` has another size.
+/// When `x` is not a whole number of rows or `out` has another size.
 pub fn rms_norm(level: Level, x: &[f32], w: &[f32], epsilon: f32, out: &mut [f32]) {
     rows(level, x, out, Norm::rms(w, epsilon));
 }
@@ -42,7 +42,7 @@ pub fn rms_norm(level: Level, x: &[f32], w: &[f32], epsilon: f32, out: &mut [f32
 /// `out = (x − mean(x)) / √(variance + ε) · w + b` for every row of `x [rows, w.len()]`. See [the module](self).
 ///
 /// # Panics
-/// When `x` is no whole number of rows, or `b` or `out` have another size.
+/// When `x` is not a whole number of rows, or `b` or `out` have another size.
 pub fn layer_norm(level: Level, x: &[f32], w: &[f32], b: &[f32], epsilon: f32, out: &mut [f32]) {
     rows(level, x, out, Norm::layer(w, b, epsilon));
 }
@@ -140,7 +140,7 @@ impl<'a> Norm<'a> {
         if self.b.is_some() || large {
             return self.write_any::<S, LARGEST>(s, x, large, out);
         }
-        // The mean is none, the scale is 1.
+        // An RMS norm has no mean, and these rows have the scale 1.
         let r = s.splat(1.0 / (s.sum(squares) / n + self.epsilon).sqrt());
         let mut most = s.splat_i32(0);
         for ((x, w), out) in x.chunks(LANES).zip(self.w.chunks(LANES)).zip(out.chunks_mut(LANES)) {

@@ -1,4 +1,4 @@
-//! Patches of an image as rows: what turns a `p × p` convolution of stride `p` into a matrix product.
+//! Patches of an image as rows, which turn a `p × p` convolution of stride `p` into a matrix product.
 //!
 //! `out[(y·w + x), (c·p + i)·p + j] = plane_c[y·p + i, x·p + j]` for planes `[h·p, w·p]`: the column order of a
 //! convolution weight `[n, channels, p, p]` read as `[n, channels·p·p]`.

@@ -7,8 +7,8 @@
 //! everywhere, in any order, on any number of threads.
 //!
 //! A stream is keyed by (seed, frame); the element index is the counter. The key holds the lower 32 bits of seed and
-//! frame, counter words 0 and 1 the element index, words 2 and 3 the upper 32 bits of seed and frame: 64 bits of each
-//! count, and for small ones the key is (seed, frame) itself.
+//! frame. Counter words 0 and 1 hold the element index, words 2 and 3 the upper 32 bits of seed and frame. So 64 bits
+//! of each count; for small numbers the key is (seed, frame) itself.
 
 use crate::parallel;
 

@@ -1,19 +1,20 @@
-//! Narrow linear layers on each token apart, with tokens in the lanes.
+//! Narrow linear layers on each token separately, with tokens in the lanes.
 //!
 //! `out[j,t] = activation(Σ_k w[j,k] · x[k,t] + b[j])` for a block of [`TOKENS`] tokens: `x [k, 48]`, `w [n,k]`, `out
 //! [n, 48]`, row-major.
 //!
-//! A layer's result is laid out as the next one's input, so tokens are turned into lanes once ([`load`]), pass through
-//! all layers of a network while they stay in the first-level cache, and are turned back once ([`store`]).
+//! A layer's result has the layout of the next one's input. So tokens are transposed into lanes once ([`load`]), pass
+//! through all layers of a network in the first-level cache, and are transposed back once ([`store`]).
 //! [`gemm`](crate::gemm) would interleave its input again for every layer, which is worth it where layers are wide.
 //!
 //! # Order of accumulation
-//! That of [`gemm`](crate::gemm) in f32: `k` is cut into blocks of [`K_BLOCK`]; inside a block one fused multiply-add
-//! per step, `k` ascending, starting from +0; block sums are added in ascending order. Both compute the same bits.
+//! That of [`gemm`](crate::gemm) in f32. `k` is cut into blocks of [`K_BLOCK`]; inside a block there is one fused
+//! multiply-add per step, `k` ascending, starting from +0. Block sums are added in ascending order. Both compute the
+//! same bits.
 //!
 //! # How it runs
-//! Weights lie in groups of 8 rows, `[n/8][k][8]`, padded with zeros. The register block is 8 rows of weights by 48
-//! tokens, or 4 by 16 where there are fewer registers.
+//! Weights are stored in groups of 8 rows, `[n/8][k][8]`, padded with zeros. The register block is 8 rows of weights by
+//! 48 tokens, or 4 by 16 where there are fewer registers.
 
 #![expect(unsafe_code, reason = "register blocks read operands by pointer")]
 
@@ -37,7 +38,7 @@ pub const TOKENS: usize = 3 * LANES;
 /// Blocks of a task.
 const BLOCKS: usize = 4;
 
-/// Rows of weights that lie together.
+/// Rows of weights that are stored together.
 const ROWS: usize = 8;
 
 /// A linear layer and the function behind it.
@@ -104,11 +105,11 @@ impl Layer {
     }
 }
 
-/// Calls `work(first, rows)` for every block of at most [`TOKENS`] rows of `width` values of `out`, where `first` is
-/// the index of its first row: in it, a network's layers are applied one after the other.
+/// Calls `work(first, rows)` for every block of at most [`TOKENS`] rows of `width` values of `out`; `first` is the
+/// index of the block's first row. `work` applies a network's layers one after the other.
 ///
 /// # Panics
-/// When `out` is no whole number of rows.
+/// When `out` is not a whole number of rows.
 pub fn for_each_block(out: &mut [f32], width: usize, work: impl Fn(usize, &mut [f32]) + Sync + Send) {
     if out.is_empty() {
         return;
@@ -122,10 +123,10 @@ pub fn for_each_block(out: &mut [f32], width: usize, work: impl Fn(usize, &mut [
     });
 }
 
-/// Turns up to [`TOKENS`] rows of `k` values into `to [k, 48]`; lanes without a row hold zeros.
+/// Transposes up to [`TOKENS`] rows of `k` values into `to [k, 48]`; lanes without a row hold zeros.
 ///
 /// # Panics
-/// When `rows` is no whole number of rows or too many, or `to` has another size.
+/// When `rows` is not a whole number of rows, or holds too many, or `to` has another size.
 pub fn load(rows: &[f32], k: usize, to: &mut [f32]) {
     assert_eq!(to.len(), product([k, TOKENS]), "a block holds {} values, expected k·48 with k = {k}", to.len());
     if k == 0 {
@@ -139,10 +140,10 @@ pub fn load(rows: &[f32], k: usize, to: &mut [f32]) {
     interleave::<TOKENS>(count, k, |t| &rows[t * k..][..k], to);
 }
 
-/// Turns the first tokens of `from [n, 48]` into as many rows of `n` values as `rows` has room for.
+/// Transposes the first tokens of `from [n, 48]` into as many rows of `n` values as `rows` holds.
 ///
 /// # Panics
-/// When `rows` is no whole number of rows or too many, or `from` has another size.
+/// When `rows` is not a whole number of rows, or holds too many, or `from` has another size.
 pub fn store(from: &[f32], n: usize, rows: &mut [f32]) {
     assert_eq!(from.len(), product([n, TOKENS]), "a block holds {} values, expected n·48 with n = {n}", from.len());
     if n == 0 {

@@ -39,7 +39,7 @@ fn every_level_gives_the_bits_of_the_reference_and_of_gemm() {
 
 #[test]
 fn an_absent_bias_changes_no_bit() {
-    // A negative product too small for any number is −0, which +0 added to it would turn.
+    // A negative product that underflows is −0; adding +0 would change its sign.
     let layer = Layer::pack(&[1e-30; 9], None, Activation::Identity, 9, 1);
     for level in crate::testing::levels() {
         let mut out = vec![1.0; 9 * TOKENS];

@@ -15,7 +15,7 @@ pub(super) struct Grid {
     pub rows: usize,
     /// Blocks in a row of the image.
     pub blocks: usize,
-    /// The last column's neighbour is the first.
+    /// True if the last column's neighbour is the first.
     pub around: bool,
 }
 
@@ -57,7 +57,7 @@ impl Grid {
             let height = (BLOCK * TILE[1]) as f32;
             let (from, to) = reach.columns(row as f32 * height, height - 1.0);
             let width = (BLOCK * TILE[0]) as f32;
-            // Also where the bounds are NaN the comparison leaves the box of the footprint.
+            // The comparison keeps the box of the footprint where the bounds are NaN.
             let first = if from / width > left as f32 { (from / width) as usize } else { left };
             let last = if to / width < right as f32 { (to.max(-1.0) / width).floor() as isize } else { right as isize };
             for column in first as isize..=last {
@@ -66,10 +66,10 @@ impl Grid {
         }
     }
 
-    /// The same where columns continue at the other edge.
+    /// [`Grid::for_each_tile`] where columns continue at the other edge.
     fn for_each_around(self, splat: &Splat, [top, bottom]: [usize; 2], mut visit: impl FnMut(usize)) {
         let [own, beyond] = around(splat.columns, self.blocks).map(|ends| ends.map(|column| column / TILE[0]));
-        // A tile at which both meet comes once.
+        // A tile in which both parts meet is visited once.
         let beyond = if splat.columns[1] as usize >= self.blocks { 0..(beyond[1] + 1).min(own[0]) } else { 0..0 };
         for row in top..=bottom {
             for column in beyond.clone().chain(own[0]..own[1] + 1) {
@@ -79,8 +79,8 @@ impl Grid {
     }
 }
 
-/// Columns of blocks, of the `blocks` that an image has, whose last one's neighbour is its first: those up to the right
-/// edge, and those from the left one on, which may be none (first past last).
+/// Columns of a footprint in an image of `blocks` columns of blocks whose left and right edges meet: those up to the
+/// right edge, and those from the left edge on. There may be none of the latter (first past last).
 #[inline(always)]
 pub(super) fn around([first, last]: [u16; 2], blocks: usize) -> [[usize; 2]; 2] {
     let (first, last) = (usize::from(first), usize::from(last));

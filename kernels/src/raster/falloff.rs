@@ -12,7 +12,7 @@ const TRANSMITTANCE_MIN: f32 = 1e-4;
 /// How α falls with the distance d from a Gaussian's centre, in standard deviations: `α = min(0.99, o·g·(e^(−d²/2) −
 /// f))`, skipped where it is under 1/255.
 ///
-/// The last two follow programs whose footprints fall to 0 at an edge. Both numbers are rounded to binary32 once.
+/// The last two reproduce programs whose footprints fall to 0 at an edge. Both numbers are rounded to binary32 once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Falloff {
     /// g = 1, f = 0: the Gaussian itself.
@@ -57,7 +57,7 @@ pub struct Defocus {
 }
 
 impl Defocus {
-    /// Returns true if both numbers are those of a lens.
+    /// Returns true if both numbers are in their ranges.
     pub fn is_usable(&self) -> bool {
         self.aperture >= 0.0 && self.aperture.is_finite() && self.focus > 0.0
     }
@@ -83,7 +83,7 @@ pub(super) struct Cut {
     pub most: f32,
     /// A pixel is finished when the next splat would take its transmittance below this.
     pub end: f32,
-    /// log₂(1/least), and what [`reach`](Self::reach) adds.
+    /// log₂(1/least), and the constant that [`reach`](Self::reach) adds.
     base: f32,
 }
 
@@ -112,7 +112,7 @@ impl Cut {
         Self { gain, floor, least, base, ..Self::GAUSSIAN }
     }
 
-    /// −f: `opacity·(2^−e + dip)` is α.
+    /// −f, so that `opacity·(2^−e + dip)` is α.
     #[inline(always)]
     pub(super) fn dip(&self) -> f32 {
         -self.floor
@@ -131,7 +131,7 @@ impl Cut {
         let opacity = s.mul(opacity, s.splat(self.gain));
         let share = s.mul_add(opacity, s.splat(self.floor / self.least), s.splat(1.0));
         let above = s.div(opacity, share);
-        // A little under it, so that no rounding here leaves out what the blend would draw.
+        // The threshold is a little lower, so that no rounding here leaves out a Gaussian that the blend would draw.
         let opaque = s.and(opaque, s.le(s.splat(self.least * (1.0 - 1e-5)), above));
         (opacity, self.reach(s, above), opaque)
     }

@@ -21,9 +21,9 @@ pub const TILE_PIXELS: [usize; 2] = [TILE[0] * BLOCK, TILE[1] * BLOCK];
 /// α(x, y) = min(0.99, opacity · 2^−(s² + t²))     s = q·(y − v)     t = p·(x − m − k·(y − anchor))
 /// ```
 ///
-/// with the centre's row v and the footprint's middle m on the row `anchor` each in two parts that add up: a whole
-/// number (where it is below 2²⁴ in size) and the rest. The anchor is the row of the image next to the centre: seen
-/// from it the footprint needs no more digits than binary32 has, however far away its centre is.
+/// The centre's row v and the footprint's middle m on the row `anchor` each have two parts that add up: a whole number
+/// (where it is below 2²⁴ in size) and the rest. The anchor is the row of the image next to the centre: relative to it
+/// binary32 has enough digits for the footprint, however far away its centre is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Footprint {
@@ -84,7 +84,7 @@ pub struct Lists {
     pub tiles: [usize; 2],
     /// Footprints that can be seen, in the order of the Gaussians.
     pub footprints: Vec<Footprint>,
-    /// Where each tile's list starts in `order`, row-major; one more than tiles.
+    /// Start of each tile's list in `order`, row-major; one more than tiles.
     pub starts: Vec<u32>,
     /// Places in `footprints`, each tile's front to back (ties: lower index first).
     pub order: Vec<u32>,
@@ -92,13 +92,13 @@ pub struct Lists {
 
 impl Rasteriser {
     /// Projects, bins and sorts `gaussians` as [`Rasteriser::render`] does and leaves the blend to the caller; `to` is
-    /// filled anew. The next image starts from nothing. [`Rasteriser::work`] returns the cost; nothing counts as drawn.
+    /// overwritten. The next image is drawn as a whole. [`Rasteriser::work`] returns the cost; nothing counts as drawn.
     ///
     /// The lists are the same for every level and number of threads.
     ///
     /// # Panics
     /// As [`super::render`], and for equirectangular images. [`Request::falloff`] and [`Request::defocus`] shape the
-    /// lists; how α falls in a footprint, and the least that is drawn, is up to the blend.
+    /// lists. The falloff of α in a footprint and the least α that is drawn are up to the blend.
     pub fn lists(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, request: &Request, to: &mut Lists) {
         assert!(
             *projection != Projection::Equirectangular,
@@ -113,7 +113,7 @@ impl Rasteriser {
         let visible = self.splats.iter().filter(|splat| !splat.is_hidden());
         to.footprints.clear();
         to.footprints.extend(visible.map(|splat| Footprint::new(splat, height)));
-        // Where each Gaussian's footprint went.
+        // Place of each Gaussian's footprint.
         let mut next = 0;
         self.places.clear();
         self.places.extend(self.splats.iter().map(|splat| {

@@ -1,6 +1,6 @@
 //! Rasterisation of 3-D Gaussians, orthographic or pinhole: project, bin, sort, blend.
 //!
-//! # What is computed
+//! # Definition
 //!
 //! Gaussians come in view space: x right, y down, z forward. Gaussian i with mean (x, y, z), scales S, rotation R (from
 //! the quaternion as it is, not normalised) and opacity o has the footprint
@@ -20,8 +20,8 @@
 //! rgb = C + T·background     depth = D     alpha = 1 − T
 //! ```
 //!
-//! An *equirectangular* image shows all around the eye. There a Gaussian with its centre in the direction n, at the
-//! distance r, has a footprint in the plane that touches the sphere of directions in n, with the axes e (east) and s
+//! An *equirectangular* image shows all around the eye. A Gaussian with its centre in the direction n, at the distance
+//! r, has its footprint in the plane that touches the sphere of directions in n. The plane has the axes e (east) and s
 //! (south), in pixels of a meridian:
 //!
 //! ```text
@@ -29,16 +29,16 @@
 //! α = min(0.99, o·exp(−½·dᵀΣ⁻¹d))     d = K·(e·q, s·q)/(n·q) for a pixel in the direction q with n·q > 0
 //! ```
 //!
-//! so that it has the shape in a pinhole that looks along n, at any place: it bends with the image near the poles, and
-//! the image's edges meet. 0.3 px² of low-pass are those of the image's own pixels, which are cos φ as wide on the
-//! sphere as they are high. Drawing order and `depth` are by r in place of z.
+//! So it has, anywhere, the shape that a pinhole looking along n sees: it bends with the image near the poles, and the
+//! image's edges meet. The low-pass of 0.3 px² is in the image's own pixels, which on the sphere are cos φ as wide as
+//! they are high. Drawing order and `depth` use r instead of z.
 //!
 //! With [`Request::antialias`], o is `o·√(det(J·R·S·Sᵀ·Rᵀ·Jᵀ) / det Σ)` throughout, so that Gaussians smaller than a
-//! pixel get fainter in place of larger (Mip-Splatting, CVPR 2024, the 2D filter with a variance of 0.3 px²).
+//! pixel get fainter instead of larger (Mip-Splatting, CVPR 2024, the 2D filter with a variance of 0.3 px²).
 //!
-//! With [`Request::bounded`], x/z and y/z in a pinhole's J, not in u and v, are held between `(−½ − 0.15·W − c_x)/f_x`
-//! and `(1.15·W − ½ − c_x)/f_x`, and alike for y: the affine approximation of Gaussians far outside the image and close
-//! to the eye would otherwise smear over the image (as the original 3D Gaussian splatting and gsplat do).
+//! With [`Request::bounded`], x/z and y/z in a pinhole's J (not in u and v) are clamped, as in the original 3D Gaussian
+//! splatting and gsplat: x/z between `(−½ − 0.15·W − c_x)/f_x` and `(1.15·W − ½ − c_x)/f_x`, y/z alike. Without it, the
+//! affine approximation of Gaussians far outside the image and close to the eye smears over the image.
 //!
 //! With a [`Falloff`] other than the Gaussian itself, `α = min(0.99, o·g·(exp(−½·dᵀΣ⁻¹d) − f))`.
 //!
@@ -50,39 +50,39 @@
 //! b_x = (f_x·¼A·(1/z − 1/F))²     b_y alike     Σ' = Σ + diag(b_x, b_y)     o' = o·√(det Σ / det Σ')
 //! ```
 //!
-//! α is then skipped where it is under 2⁻¹⁶, in place of 1/255: a Gaussian spread over many pixels keeps its sum.
+//! α is then skipped where it is under 2⁻¹⁶ instead of 1/255, so a Gaussian spread over many pixels keeps its sum.
 //! Gaussians with an opacity under 1/255 are left out as without a lens. With `antialias` as well, `o' =
 //! o·√(det(J·R·S·Sᵀ·Rᵀ·Jᵀ) / det Σ')`.
 //!
-//! (StreamSplat, ICLR 2026, section 3, with the affine approximation of EWA splatting.) A Gaussian reaches every pixel
-//! on which its α is at least 1/255: the image depends on no tile size and no cut at a multiple of σ.
+//! Source: StreamSplat, ICLR 2026, section 3, with the affine approximation of EWA splatting. A Gaussian reaches every
+//! pixel on which its α is at least 1/255: the image depends on no tile size and no cut at a multiple of σ.
 //!
 //! # Order of operations
 //!
 //! A pixel's value is a function of the scene and the pixel alone. General footprints are projected in binary64,
 //! separable ones in binary32 with centres in two parts (`project`); the blend is binary32 with the fused multiply-adds
-//! written in `blend.rs`. The conic enters as a triangular factor, `½log₂e·dᵀΣ⁻¹d = (p·(dx − k·dy))² + (q·dy)²`, whose
-//! determinant is a sum of squares: neither thin nor far Gaussians cancel. The blurred determinant is `(|m₁ × m₂|² +
-//! ((0.3 + b_x)·|m₂|² + (0.3 + b_y)·|m₁|²)) + (0.3 + b_x)·(0.3 + b_y)` in that order, `m₁, m₂` the rows of `J·R·S`; the
-//! square root of the quotient is rounded to binary32 once. Three forms of α, chosen by the scene and never by tile,
-//! level or thread:
+//! written in `blend/walk.rs`. The conic enters as a triangular factor, `½log₂e·dᵀΣ⁻¹d = (p·(dx − k·dy))² + (q·dy)²`,
+//! whose determinant is a sum of squares: neither thin nor far Gaussians cancel. With `m₁, m₂` the rows of `J·R·S`, the
+//! blurred determinant is `(|m₁ × m₂|² + ((0.3 + b_x)·|m₂|² + (0.3 + b_y)·|m₁|²)) + (0.3 + b_x)·(0.3 + b_y)` in that
+//! order. The square root of the quotient is rounded to binary32 once. α has three forms, chosen by the scene and never
+//! by tile, level or thread:
 //!
 //! - *separable*, when the projection is orthographic and every rotation is the identity:
 //!   `α = min(0.99, (o·2^−(q·dy)²)·2^−(p·dx)² − o·f)`, one exponential per row and per column;
 //! - *general*: `α = min(0.99, o·2^−((p·(dx − k·dy))² + (q·dy)²) − o·f)`,
 //!
-//! the last step of both one fused multiply-add with `−o·f`, which is −0 for Gaussians and then changes no bit. o·g
+//! The last step of both is one fused multiply-add with `−o·f`, which is −0 for Gaussians and then changes no bit. o·g
 //! comes first, in binary32.
 //!
-//! and *spherical* (`blend/sphere.rs`), for equirectangular images: `α = min(0.99, o·2^−(((a·q)² + (b·q)²)/(n·q)²) −
-//! o·f)`.
+//! The third form, *spherical* (`blend/sphere.rs`), is for equirectangular images: `α = min(0.99, o·2^−(((a·q)² +
+//! (b·q)²)/(n·q)²) − o·f)`.
 //!
 //! Pixels are blended in blocks of 4×4, one vector each. Blocks and tiles that a footprint cannot reach are left out,
 //! as are blocks whose pixels are all finished; that changes no bit.
 //!
 //! # Values that are not finite
 //!
-//! A Gaussian with a NaN or an infinity in any field is dropped and counted. Nothing of it reaches the image.
+//! A Gaussian with a NaN or an infinity in any field is dropped and counted. It contributes nothing to the image.
 
 mod bin;
 mod blend;
@@ -175,7 +175,7 @@ impl OwnedGaussians {
         }
     }
 
-    /// Adds one; the quaternion only where the others have one.
+    /// Adds one Gaussian, with its quaternion only where the others have one.
     pub fn push(&mut self, mean: [f32; 3], scale: [f32; 3], turn: [f32; 4], opacity: f32, rgb: [f32; 3]) {
         self.mean.push(mean);
         self.scale.push(scale);
@@ -187,7 +187,7 @@ impl OwnedGaussians {
     }
 }
 
-/// How view space meets the image.
+/// Projection from view space to the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Projection {
     /// Parallel rays; the axis z meets the middle of the image.
@@ -202,8 +202,8 @@ pub enum Projection {
         /// The pixel that the axis z meets.
         centre: [f32; 2],
     },
-    /// All around the eye: columns are longitudes from −π to π, rows latitudes from −π/2 (above) to π/2 (below), pixel
-    /// centres halves of a step from the edges; the axis z meets the middle of the image.
+    /// All around the eye: columns are longitudes from −π to π, rows latitudes from −π/2 (above) to π/2 (below). Pixel
+    /// centres are half a step from the edges; the axis z meets the middle of the image.
     Equirectangular,
 }
 
@@ -222,10 +222,10 @@ pub struct Request {
     pub alpha: bool,
     /// True if `final_t` and `blended` are wanted.
     pub statistics: bool,
-    /// True if opacities are lowered by as much as the low-pass widens footprints, for scenes that were trained so.
+    /// True if opacities are lowered by as much as the low-pass widens footprints, for scenes trained that way.
     pub antialias: bool,
-    /// True if a pinhole's footprints outside the image are shaped as if at most 15 % of its size beyond its edge, for
-    /// scenes that were trained so.
+    /// True if a pinhole's footprints outside the image have the shape they would have at most 15 % of its size beyond
+    /// its edge, for scenes trained that way.
     pub bounded: bool,
     /// How α falls from a Gaussian's centre to its edge.
     pub falloff: Falloff,
@@ -274,8 +274,8 @@ pub struct Image {
 
 /// Draws `gaussians`.
 ///
-/// Runs on the current rayon pool. The result is the same for every level and number of threads.
-/// To draw a scene again and again use a [`Rasteriser`]: it keeps its buffers and redraws only what changed.
+/// Runs on the current rayon pool. The result is the same for every level and number of threads. To draw a scene
+/// repeatedly use a [`Rasteriser`]: it keeps its buffers and redraws only changed tiles.
 ///
 /// # Panics
 /// When the slices of `gaussians` differ in length, when there are 2³² Gaussians or more, or when a side of the image

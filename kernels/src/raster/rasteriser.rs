@@ -1,4 +1,4 @@
-//! Drawing a scene again and again: buffers are kept, and only tiles whose splats changed are drawn anew.
+//! Drawing a scene repeatedly: buffers are kept, and only tiles whose splats changed are redrawn.
 
 #![expect(unsafe_code, reason = "tasks fill, sort and draw lists of one array")]
 
@@ -44,7 +44,7 @@ pub struct Work {
     pub project: Duration,
     /// Time of filling the lists.
     pub bin: Duration,
-    /// Time of sorting the lists: the part that it took of the threads' time in the last stage.
+    /// Time of sorting the lists: its share of the threads' time in the last stage.
     pub sort: Duration,
     /// Time of blending: the rest of the last stage.
     pub blend: Duration,
@@ -57,12 +57,12 @@ pub struct Rasteriser {
     /// Scene and request of the last image; `None` before the first.
     last: Option<Last>,
     pub(super) splats: Vec<Splat>,
-    /// Entries per chunk of Gaussians and tile; later where each chunk's entries of a tile start.
+    /// Entries per chunk of Gaussians and tile; later the start of each chunk's entries of a tile.
     pub(super) counts: Vec<u32>,
-    /// Where a tile's list starts; one more than tiles.
+    /// Start of each tile's list; one more than tiles.
     pub(super) starts: Vec<u32>,
     pub(super) entries: Vec<Entry>,
-    /// Where each Gaussian's footprint lies, when lists are made for a blend elsewhere.
+    /// Place of each Gaussian's footprint, when lists are made for a blend elsewhere.
     pub(super) places: Vec<u32>,
     pub(super) dirty: Vec<AtomicBool>,
     order: Vec<u32>,
@@ -137,7 +137,7 @@ impl Rasteriser {
         self.image
     }
 
-    /// Makes the next image start from nothing.
+    /// Makes the next image be drawn as a whole.
     pub fn forget(&mut self) {
         self.last = None;
     }
@@ -151,7 +151,7 @@ impl Rasteriser {
     /// As [`super::render`].
     pub fn render(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, request: &Request) -> &Image {
         let (now, grid) = self.begin(gaussians, projection, request);
-        // Taken, so that after a panic the next image starts from nothing.
+        // Taken, so that after a panic the next image is drawn as a whole.
         let keep = self.last.take() == Some(now);
         let Last { view, request, .. } = now;
         self.coarse(gaussians, &view, grid, keep);
@@ -166,7 +166,7 @@ impl Rasteriser {
         &self.image
     }
 
-    /// Checks the request and starts the account.
+    /// Checks the request and resets the counts of work.
     pub(super) fn begin(
         &mut self,
         gaussians: &Gaussians<'_>,
@@ -214,7 +214,7 @@ impl Rasteriser {
         self.splats.len().div_ceil(MOST_CHUNKS).max(CHUNK).next_multiple_of(LANES)
     }
 
-    /// Fills `splats`, `dirty` and, where everything is new, `counts`.
+    /// Fills `splats` and `dirty`, and `counts` where nothing is kept.
     fn project(&mut self, gaussians: &Gaussians<'_>, view: &Viewport, grid: Grid, keep: bool) {
         let _span = debug_span!("project", gaussians = gaussians.len(), keep).entered();
         self.splats.resize(gaussians.len(), Splat::HIDDEN);
@@ -283,8 +283,8 @@ impl Rasteriser {
                         if !keep || dirty[tile].load(Ordering::Relaxed) {
                             let slot = counts[tile] as usize;
                             // SAFETY: the places from `counts[tile]` on, as many as the chunk has footprints in the
-                            // tile, are this chunk's alone: they were counted by the same walk over the same splats and
-                            // flags, which nothing has written since.
+                            // tile, are this chunk's alone. The same walk over the same splats and flags counted them,
+                            // and nothing has written to those since.
                             unsafe { entries.part(slot..slot + 1)[0] = entry };
                             counts[tile] += 1;
                         }

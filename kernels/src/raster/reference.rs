@@ -4,7 +4,7 @@ use super::falloff::BLURRED_ALPHA_MIN;
 use super::project::{POLE, rotation};
 use super::{Defocus, Gaussians, Projection, Request};
 
-/// An image in binary64, and how far each pixel was from being decided otherwise.
+/// An image in binary64, and the distance of each pixel from the nearest threshold.
 #[derive(Clone, Debug)]
 pub struct ReferenceImage {
     /// `[3, H, W]`
@@ -17,8 +17,8 @@ pub struct ReferenceImage {
     pub final_t: Vec<f64>,
     /// `[H, W]`, Gaussians drawn
     pub blended: Vec<u32>,
-    /// `[H, W]`: the smallest relative distance of an alpha from 1/255, or of a transmittance from 1e-4, that was met.
-    /// Where it is below the rounding of binary32, an implementation may decide otherwise.
+    /// `[H, W]`: the smallest relative distance of an alpha from 1/255, or of a transmittance from 1e-4, on the pixel.
+    /// Where it is below the rounding of binary32, an implementation may decide differently.
     pub margin: Vec<f64>,
     /// Gaussians with a field that is not finite.
     pub dropped: u64,
@@ -68,7 +68,7 @@ fn cone(n: [f64; 3], tangent: f64, [width, height]: [usize; 2]) -> (std::ops::Ra
     (rows, (first..=last).map(|column| column.rem_euclid(width as isize) as usize).collect())
 }
 
-/// The direction of a place, and east and south there.
+/// The direction of a position, and east and south there.
 fn sphere_axes(place: [f64; 3]) -> [[f64; 3]; 3] {
     let length = place.iter().map(|c| c * c).sum::<f64>().sqrt();
     // The direction is rounded to binary32 by definition.
@@ -190,7 +190,7 @@ fn render_with(
         };
         let own = if lens.is_some() && gaussians.opacity[i] < 1.0 / 255.0 { 0.0 } else { opacity };
         opacity *= gain;
-        // Near the threshold pixels count in `margin`.
+        // Gaussians near the threshold are kept, to count in `margin`.
         if ![a, c, det, u, v].iter().all(|v| v.is_finite()) || own < (1.0 - 1e-4) * least {
             continue;
         }

@@ -1,4 +1,4 @@
-//! Taps as far as the reduction reaches.
+//! Resizing with as many taps as the reduction needs.
 
 use tracing::debug_span;
 
@@ -58,7 +58,7 @@ impl Grid {
 
 /// Taps of every output of an axis.
 pub(super) struct Taps {
-    /// First tap and how many.
+    /// First tap and number of taps.
     pub range: Vec<(usize, usize)>,
     /// Tap t of output i at `t·outputs + i`, 0 past the last.
     pub weight: Vec<f32>,

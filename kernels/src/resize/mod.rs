@@ -10,9 +10,9 @@
 //! ```
 //!
 //! Half-pixel centres, edges clamped, two taps per axis also when the image shrinks: PyTorch's
-//! `interpolate(mode="bilinear", align_corners=False)`, including its coordinates in binary32 (a coordinate of 500 is
-//! off by up to 3e-5 pixels; exact ones would not reproduce what models were trained on). Constant images stay constant
-//! to the bit, and an axis that keeps its length is copied.
+//! `interpolate(mode="bilinear", align_corners=False)`, including its coordinates in binary32. A coordinate of 500 is
+//! off by up to 3e-5 pixels; exact ones would not reproduce the inputs that models were trained on. Constant images
+//! stay constant to the bit, and an axis that keeps its length is copied.
 //!
 //! # Antialiased: [`antialiased`], [`bilinear_antialiased`], [`bicubic_antialiased`]
 //!
@@ -27,7 +27,7 @@
 //! rounded once. The width goes first, then the height. PyTorch's `interpolate(antialias=True)` and Pillow's `resize`
 //! do the same; DINOv2 resizes its grid of position codes this way.
 //!
-//! Bits are equal on every level and for any number of threads. Infinite and NaN values reach only the outputs that
+//! Bits are equal on every level and for any number of threads. Infinite and NaN values affect only the outputs that
 //! have them among their taps.
 
 mod antialiased;

@@ -1,4 +1,4 @@
-//! The formulas read off, in binary64.
+//! The formulas in binary64.
 
 use super::antialiased::{Filter, Grid};
 use super::bilinear::Axis;

@@ -3,7 +3,7 @@
 use super::*;
 use crate::Level;
 
-/// Uniform numbers of a linear congruential generator, as the tables below were made with.
+/// Uniform numbers of the linear congruential generator with which the tables below were made.
 fn noise(n: usize) -> Vec<f32> {
     let mut state = 1_u32;
     let next = |_| {
@@ -97,7 +97,7 @@ fn antialiasing_agrees_with_pillow() {
     check(&out, &expected);
 }
 
-/// All ways to resize, planar where there is a choice.
+/// Results of all functions, planar where there is a choice.
 fn every_way(level: Level, source: &[f32], size: (usize, usize, usize, usize)) -> Vec<Vec<u32>> {
     let (h, w, dst_h, dst_w) = size;
     let mut all = Vec::new();

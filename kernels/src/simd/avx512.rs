@@ -274,7 +274,7 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
             });
         }
         let least = self.splat(SMALLEST);
-        // "Not below", so that NaN stays.
+        // "Not below" keeps NaN.
         let (a, b) =
             (self.keep(self.not(self.lt(self.abs(a), least)), a), self.keep(self.not(self.lt(self.abs(b), least)), b));
         // SAFETY: the token proves AVX-512 BF16; both types are 512 bits without invalid values.

@@ -5,8 +5,8 @@ use super::vector::{LANES, Simd};
 
 /// The smallest magnitude that bf16 operands keep.
 ///
-/// Their products are whole multiples of 2⁻¹²⁶, and so is every sum of them: none is near the denormal numbers, which
-/// the instructions for bf16 flush in their own way.
+/// Products of such operands are whole multiples of 2⁻¹²⁶, and so is every sum of them. None is near the denormal
+/// numbers, which the instructions for bf16 flush in their own way.
 pub(crate) const SMALLEST: f32 = f32::from_bits((127 - 56) << 23);
 
 /// The bits of the earlier bf16 of a pair.

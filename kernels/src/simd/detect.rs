@@ -31,7 +31,8 @@ fn machine() -> &'static Machine {
 impl Level {
     /// The default level: the highest whose instructions are no slower than those of a lower one.
     ///
-    /// That is the highest of all but on Intel's cores, where it is `avx512vnni` although they may have `avx512bf16`.
+    /// That is the highest of all except on Intel's cores, where it is `avx512vnni` although they may have
+    /// `avx512bf16`.
     pub fn detect() -> Level {
         machine().preferred
     }
@@ -60,7 +61,7 @@ impl Level {
     }
 }
 
-/// Dot products that instructions have to reproduce before they are used: random pairs of every magnitude that products
+/// Dot products that an instruction must reproduce before it is used: random pairs of every magnitude that products
 /// have, and sums that cancel.
 struct Answers;
 

@@ -1,4 +1,4 @@
-//! The way into a level.
+//! Entry into code compiled for a level.
 
 #[cfg(target_arch = "aarch64")]
 use super::neon;

@@ -1,4 +1,4 @@
-//! Operations on each lane alone: what elementary functions are made of.
+//! Operations on each lane alone, from which elementary functions are built.
 
 /// Rounding constant of the shift trick, 1.5 · 2²³: added to a float below 2²² in magnitude, it leaves the nearest
 /// integer in the low bits.
@@ -112,7 +112,7 @@ pub trait Elementwise: Copy + Send + Sync + 'static {
         shifted
     }
     /// The integer nearest to `t` (ties to even), in the form that [`scale_by_pow2`](Elementwise::scale_by_pow2) takes,
-    /// and `t` less that integer, for |t| < 2²².
+    /// and `t` minus that integer, for |t| < 2²².
     #[inline(always)]
     fn split_int_frac(self, t: Self::F32) -> (Self::F32, Self::F32) {
         let shifter = self.splat(SHIFTER);
@@ -125,7 +125,7 @@ pub trait Elementwise: Copy + Send + Sync + 'static {
         // The integer, shifted to the exponent; higher bits are dropped.
         self.from_bits(self.add_i32(self.to_bits(p), self.shl::<23>(self.to_bits(n))))
     }
-    /// `p · 2ⁿ` for −252 ≤ `n` ≤ 254, rounded once, where `p·2^⌊n/2⌋` is a normal number or `p` is none.
+    /// `p · 2ⁿ` for −252 ≤ `n` ≤ 254, rounded once, where `p·2^⌊n/2⌋` is a normal number or `p` is not one.
     #[inline(always)]
     fn scale_by_any_pow2(self, p: Self::F32, n: Self::F32) -> Self::F32 {
         let n = self.sub_i32(self.to_bits(n), self.splat_i32(SHIFTER.to_bits().cast_signed()));

@@ -1,7 +1,7 @@
-//! One vector of 16 lanes on every instruction-set level; the home of intrinsics.
+//! One vector of 16 lanes on every instruction-set level. All intrinsics are in this module.
 //!
 //! A kernel is written once, generic over [`Simd`], and entered through [`dispatch`]. Elementary functions need only
-//! operations on each lane alone ([`Elementwise`]), and run on one value as well. Every operation is defined to the
+//! operations on each lane alone ([`Elementwise`]), and also run on a single value. Every operation is defined to the
 //! bit, so a kernel that uses nothing else computes equal bits on every level:
 //!
 //! - arithmetic is IEEE 754 binary32, round to nearest even, denormals kept; [`Elementwise::mul_add`] rounds once
@@ -9,9 +9,9 @@
 //! - [`Elementwise::min`] and [`Elementwise::max`] are comparisons followed by a selection: where either operand is
 //!   NaN, or both are zeros, the *second* operand is the result;
 //! - [`Simd::sum`] and [`Simd::max_lane`] fold lanes `i` and `i+8`, then `i` and `i+4`, `i+2`, `i+1`;
-//! - the bits of a NaN *result* are the only thing left open; kernels never store NaN.
+//! - only the bits of a NaN *result* are unspecified; kernels never store NaN.
 //!
-//! Inside a parallel task call [`dispatch`] again: a closure handed to another thread leaves the instruction-set
+//! Inside a parallel task call [`dispatch`] again: a closure passed to another thread leaves the instruction-set
 //! context.
 
 #![expect(unsafe_code, reason = "the home of intrinsics")]

@@ -1,7 +1,7 @@
 //! Hints to the caches and to the compiler about memory.
 
 /// Brings the cache line at `at` into the second-level cache. A hint: nothing is read through the pointer, which may be
-/// any.
+/// any address.
 #[inline(always)]
 pub(crate) fn prefetch<T>(at: *const T) {
     #[cfg(all(target_arch = "x86_64", not(miri)))]
@@ -25,7 +25,7 @@ pub(crate) fn prefetch_near<T>(at: *const T) {
     let _ = at;
 }
 
-/// The same pointer, opaque to the compiler: a second read through it stays a read.
+/// Returns the same pointer, opaque to the compiler: a second read through it is not optimised away.
 ///
 /// Where a register block fills all registers, reading an operand again from the nearest cache is cheaper than keeping
 /// it.

@@ -1,5 +1,5 @@
-//! The level every machine has, which defines the bits of the others: every operation on one value, and sixteen of
-//! them.
+//! The level that every machine has. It defines the bits of the others: every operation on one value, and on sixteen
+//! values.
 
 use super::bf16;
 use super::elementwise::Elementwise;
@@ -7,8 +7,8 @@ use super::vector::{LANES, Registers, Simd};
 
 /// `a·b + c`, rounded once, without an FMA instruction.
 ///
-/// The product is exact in binary64. Its sum with `c` is rounded to odd (an inexact sum gets an odd last bit), after
-/// which the conversion to binary32 rounds as if the sum had been exact: binary64 has more than two bits to spare, also
+/// The product is exact in binary64. Its sum with `c` is rounded to odd: an inexact sum gets an odd last bit. The
+/// conversion to binary32 then rounds as if the sum had been exact, since binary64 has more than two spare bits, also
 /// where the result is denormal. Infinite and NaN operands pass through.
 #[inline(always)]
 pub fn fused_mul_add(a: f32, b: f32, c: f32) -> f32 {

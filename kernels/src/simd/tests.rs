@@ -1,4 +1,4 @@
-//! Every operation on every level against plain Rust, bit for bit, over values chosen to trip them.
+//! Every operation on every level against plain Rust, bit for bit, over difficult values.
 
 use super::{LANES, Operation, Simd, dispatch, fused_mul_add};
 use crate::level::Level;

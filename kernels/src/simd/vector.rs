@@ -18,24 +18,24 @@ pub enum Registers {
     Neon,
 }
 
-/// A zero-size proof that the CPU has a level, and that level's operations on vectors of [`LANES`] lanes.
+/// A zero-size token that proves that the CPU has a level, and that level's operations on vectors of [`LANES`] lanes.
 ///
 /// All methods are inlined; call them only below [`dispatch`](super::dispatch).
 pub trait Simd: Elementwise {
     /// The registers that hold vectors.
     const REGISTERS: Registers;
-    /// True if [`Simd::dot_bf16`] is a single instruction. Only an [`Operation`] with [`Operation::DOT_PRODUCTS`] meets
-    /// such a level.
+    /// True if [`Simd::dot_bf16`] is a single instruction. Only an [`Operation`] with [`Operation::DOT_PRODUCTS`] runs
+    /// on that level.
     const BF16_DOT: bool = false;
-    /// True if [`Simd::dot_bytes`] is a single instruction. Only an [`Operation`] with [`Operation::DOT_PRODUCTS`]
-    /// meets such a level.
+    /// True if [`Simd::dot_bytes`] is a single instruction. Only an [`Operation`] with [`Operation::DOT_PRODUCTS`] runs
+    /// on that level.
     const BYTE_DOT: bool = false;
 
     /// `acc + a₁b₁ + a₀b₀` in every lane for pairs of bf16: a fused step of the high halves, then one of the low
     /// halves.
     ///
     /// Precondition: every bf16 is zero, infinite, NaN or at least 2⁻⁵⁶ in magnitude, and `acc` is +0 or the result of
-    /// such steps. Then no step is near the denormal numbers, where the instruction departs from a fused multiply-add.
+    /// such steps. Then no step is near the denormal numbers, where the instruction differs from a fused multiply-add.
     fn dot_bf16(self, acc: Self::F32, a: Self::I32, b: Self::I32) -> Self::F32;
     /// `acc + Σ a·b` in every lane for four unsigned bytes `a` and four signed bytes `b`, wrapping.
     fn dot_bytes(self, acc: Self::I32, a: Self::I32, b: Self::I32) -> Self::I32;
@@ -160,8 +160,8 @@ pub trait Simd: Elementwise {
 ///
 /// `run` and everything it calls should be `#[inline(always)]`, so that all of it is compiled for the level.
 pub trait Operation {
-    /// True if the computation uses [`Simd::dot_bf16`] or [`Simd::dot_bytes`]: it is then compiled for each level that
-    /// has them as instructions, else once for all levels that differ in nothing else.
+    /// True if the computation uses [`Simd::dot_bf16`] or [`Simd::dot_bytes`]. It is then compiled for each level that
+    /// has them as instructions, otherwise once for all levels that differ only in these.
     const DOT_PRODUCTS: bool = false;
     /// Result of the computation.
     type Output;

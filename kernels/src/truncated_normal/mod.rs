@@ -4,7 +4,7 @@
 //!
 //! | function | returns |
 //! |---|---|
-//! | [`mean`] | m from the layer's output; what inference uses |
+//! | [`mean`] | m from the layer's output; used in inference |
 //! | [`quantile`] | the value under which the truncated normal has mass u, in binary64 |
 //! | [`sample`] | the draw for this u, with the published implementation's choices |
 //! | [`draw`] | the same with u from [`philox`](crate::philox) |
@@ -12,9 +12,9 @@
 //!
 //! # The published formula and this one
 //!
-//! The published one forms `u' = u·Δ + Φ(a)`, `Δ = Φ(b) − Φ(a)` with a, b = (∓(1−ε) − m)/σ, and then
-//! m + σ√2·erf⁻¹(2u′−1). In binary32 Δ keeps no digits where σ is large, and 2u′−1 none where it is near ±1.
-//! [`quantile`] computes the same in binary64 and without a difference of near values: with A, B = a/√2, b/√2, from
+//! The published formula computes `u' = u·Δ + Φ(a)`, `Δ = Φ(b) − Φ(a)` with a, b = (∓(1−ε) − m)/σ, and then m +
+//! σ√2·erf⁻¹(2u′−1). In binary32 Δ keeps no digits where σ is large, and 2u′−1 none where it is near ±1. [`quantile`]
+//! computes the same in binary64 and without a difference of near values: with A, B = a/√2, b/√2, from
 //!
 //! - w = (1−u)·erf A + u·erf B, where |w| ≤ ¾: m + σ√2·erf⁻¹(w);
 //! - q = (1−u)·erfc A + u·erfc B, where w > ¾, the upper tail: m + σ√2·erfc⁻¹(q);
@@ -26,9 +26,9 @@
 //! Over the published formula's own range the two differ by its rounding: 1.3e-5 at most over the 60,000 values of the
 //! parity table (where σ is large or u near 1).
 //!
-//! [`sample`] keeps the three choices of the published implementation, because checkpoints were trained with them: u is
-//! first clamped to [ε, 1−ε]; where Δ ≤ ε (σ from about 797 on) the value is the lower bound; where s ≤ −5 it is m.
-//! [`quantile`] has none of them.
+//! [`sample`] keeps the three choices of the published implementation, because checkpoints were trained with them.
+//! First, u is clamped to [ε, 1−ε]. Second, where Δ ≤ ε (σ from about 797 on), the value is the lower bound. Third,
+//! where s ≤ −5, the value is m. [`quantile`] has none of them.
 //!
 //! Every value is inside the bounds. Nothing here depends on the instruction-set level or on the number of threads.
 
@@ -45,7 +45,7 @@ use crate::{Level, parallel};
 pub const EPSILON: f32 = 1e-3;
 /// The upper bound 1 − ε; the lower one is its negative.
 pub const BOUND: f32 = 1.0 - EPSILON;
-/// Log scales up to here are taken as no spread at all by [`sample`].
+/// [`sample`] treats log scales up to this as no spread.
 pub const NO_SPREAD: f32 = -5.0;
 
 /// Elements of a task.
@@ -112,7 +112,7 @@ impl Normal {
     }
 }
 
-/// The value under which the normal of `mean` and e^`log_scale`, truncated to the bounds, has mass `u`.
+/// Returns the value under which the normal of `mean` and e^`log_scale`, truncated to the bounds, has mass `u`.
 ///
 /// A mean outside the bounds is moved to the nearer one, u to [0, 1]. NaN in any argument returns NaN.
 pub fn quantile(mean: f64, log_scale: f64, u: f64) -> f64 {
@@ -123,7 +123,7 @@ pub fn quantile(mean: f64, log_scale: f64, u: f64) -> f64 {
     let (mean, u) = (mean.clamp(-bound, bound), u.clamp(0.0, 1.0));
     match Normal::new(mean, log_scale) {
         Some(normal) => normal.quantile(u),
-        // No spread, or all of it.
+        // No spread, or an infinite one.
         None if log_scale < 0.0 => mean,
         None => (-bound + 2.0 * bound * u).clamp(-bound, bound),
     }

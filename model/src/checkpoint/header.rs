@@ -15,7 +15,7 @@ use half::slice::HalfFloatSliceExt;
 use half::{bf16, f16};
 use serde::de::{self, Deserialize, Deserializer, IgnoredAny, MapAccess, Visitor};
 
-/// Longest header that is read: the format's own limit.
+/// Longest header that is read: the limit of the format.
 const LONGEST_HEADER: u64 = 100_000_000;
 
 /// Number format of a tensor.
@@ -105,7 +105,7 @@ impl TensorInfo {
     }
 }
 
-/// Offset of the data, and all tensors; or the error.
+/// Returns the offset of the data and all tensors, or an error message.
 pub(super) fn parse(bytes: &[u8]) -> Result<(usize, BTreeMap<String, TensorInfo>), String> {
     let not = |what: String| format!("not a safetensors file: {what}");
     let Some((length, rest)) = bytes.split_first_chunk::<8>() else {

@@ -1,7 +1,7 @@
-//! Files of tensors, safetensors or what `torch.save` writes: mapped, checked, read tensor by tensor.
+//! Files of tensors, from safetensors or `torch.save`: mapped, checked, read tensor by tensor.
 //!
-//! Nothing is believed before it is checked: the header's length against the file's, every tensor's range against its
-//! shape and its neighbours, every shape against the model. No memory is taken for what a header merely claims.
+//! Everything is checked before use: the header's length against the file's, every tensor's range against its shape and
+//! its neighbours, every shape against the model. No memory is allocated by a size that only a header claims.
 
 mod header;
 mod storage;
@@ -73,7 +73,7 @@ impl Checkpoint {
         &self.tensors
     }
 
-    /// The shape of a tensor, if it is there.
+    /// The shape of a tensor, if the file has it.
     pub fn shape(&self, name: &str) -> Option<&[usize]> {
         self.tensors.get(name).map(|t| t.shape.as_slice())
     }
@@ -81,7 +81,7 @@ impl Checkpoint {
     /// The values of a tensor as f32: borrowed where the file holds aligned F32, widened otherwise.
     ///
     /// # Errors
-    /// When it is missing, is not F32, F16 or BF16, or holds a value that is not finite.
+    /// When the tensor is missing, is not F32, F16 or BF16, or holds a value that is not finite.
     pub fn read(&self, name: &str) -> Result<Cow<'_, [f32]>, ModelError> {
         let info = self.tensors.get(name).ok_or_else(|| ModelError::Missing {
             file: self.file.clone(),
@@ -105,7 +105,7 @@ impl Checkpoint {
         }
     }
 
-    /// Returns true if a tensor is there and all its values are zero, of either sign.
+    /// Returns true if the file has the tensor and all its values are zero, of either sign.
     pub(crate) fn is_zero(&self, name: &str) -> bool {
         let Some(TensorInfo { dtype, range, .. }) = self.tensors.get(name) else { return false };
         let bytes = &self.storage.bytes()[self.data..][range.clone()];
@@ -121,13 +121,12 @@ impl Checkpoint {
         }
     }
 
-    /// The bytes of a tensor of any format, if it is there.
+    /// The bytes of a tensor of any format, if the file has it.
     pub fn bytes(&self, name: &str) -> Option<&[u8]> {
         self.tensors.get(name).map(|info| &self.storage.bytes()[self.data..][info.range.clone()])
     }
 
-    /// Advises the system that a tensor's pages of a mapped file are not needed for now; it reads them again if they
-    /// are.
+    /// Advises the system that a tensor's pages of a mapped file are not needed for now. It reads them again on access.
     pub(crate) fn release(&self, name: &str) {
         if let Some(info) = self.tensors.get(name) {
             self.storage.release(self.data + info.range.start..self.data + info.range.end);

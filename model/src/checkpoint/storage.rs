@@ -47,7 +47,7 @@ impl Storage {
     /// As with every mapping, shortening the file while it is loaded ends the program (SIGBUS).
     ///
     /// # Errors
-    /// When it cannot be opened, is no regular file, or cannot be mapped.
+    /// When the file cannot be opened, is not a regular file, or cannot be mapped.
     #[expect(unsafe_code, reason = "mapping a file is unsafe by nature")]
     pub fn map(path: &Path) -> io::Result<Storage> {
         let file = File::open(path)?;
@@ -60,7 +60,7 @@ impl Storage {
             return Ok(Storage::Owned(Vec::new()));
         }
         // SAFETY: the mapping is private and read-only. Its bytes are plain data, read once while loading and checked
-        // after they are copied, so that another program's write can spoil values but no invariant.
+        // after they are copied: another program's write can change values but break no invariant.
         Ok(Storage::Mapped(unsafe { Mmap::map(&file)? }))
     }
 
@@ -73,16 +73,16 @@ impl Storage {
         }
     }
 
-    /// Lets the system take back the memory of a range of a mapped file.
+    /// Lets the system reclaim the memory of a range of a mapped file.
     #[cfg_attr(unix, expect(unsafe_code, reason = "advice that drops pages is unsafe in general"))]
     pub(crate) fn release(&self, range: Range<usize>) {
         #[cfg(unix)]
         if let Storage::Mapped(map) = self {
-            // Whole pages inside the range only: a page at its edge may hold a tensor that is still wanted.
+            // Only whole pages inside the range: a page at its edge may hold a tensor that is still needed.
             const PAGE: usize = 1 << 16;
             let (start, end) = (range.start.next_multiple_of(PAGE), range.end / PAGE * PAGE);
             if start < end {
-                // SAFETY: the mapping is of a file and is never written to: dropped pages are read again from the file
+                // SAFETY: the mapping is of a file and is never written to. Dropped pages are read again from the file
                 // with the same content. Failure only keeps memory in use.
                 let _ = unsafe { map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, end - start) };
             }

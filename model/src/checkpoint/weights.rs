@@ -52,7 +52,7 @@ impl<'a> Weights<'a> {
         Weights { compute_zero_output: true, ..self }
     }
 
-    /// Returns true if the residual branch whose last layer is `name`, with a bias or without, is to be left out: it
+    /// Returns true if the residual branch whose last layer is `name`, with or without a bias, is left out because it
     /// adds zeros.
     pub(crate) fn leaves_out(&self, name: &str) -> bool {
         !self.compute_zero_output && self.is_zero_output(name)
@@ -64,7 +64,7 @@ impl<'a> Weights<'a> {
         zero("weight") && (self.shape(&format!("{name}.bias")).is_none() || zero("bias"))
     }
 
-    /// Finds the faults that [`Weights::read`] would find in a tensor that nothing needs.
+    /// Checks a tensor that nothing needs as [`Weights::read`] would.
     pub(crate) fn check(&self, name: &str, shape: &[usize]) -> Result<(), ModelError> {
         self.read(name, shape)?;
         self.release(name);
@@ -81,7 +81,7 @@ impl<'a> Weights<'a> {
         Weights { precision, ..self.clone() }
     }
 
-    /// The level that packs layers, with the same result on any.
+    /// The level that packs layers; the result is the same on any.
     pub(crate) fn level(&self) -> Level {
         self.level
     }
@@ -104,12 +104,12 @@ impl<'a> Weights<'a> {
         self.checkpoint.shape(&self.key(name))
     }
 
-    /// How many consecutive `name.0.…`, `name.1.…` hold a tensor `probe`.
+    /// Number of consecutive `name.0.…`, `name.1.…` that hold a tensor `probe`.
     pub(crate) fn count(&self, name: &str, probe: &str) -> usize {
         (0..).take_while(|i| self.shape(&format!("{name}.{i}.{probe}")).is_some()).count()
     }
 
-    /// The shape of a tensor that has to have `rank` axes, the ones that are `Some` of that size.
+    /// Returns the shape of a tensor with `RANK` axes; axes that are `Some` must have that size.
     pub(crate) fn shape_like<const RANK: usize>(
         &self,
         name: &str,
@@ -139,14 +139,14 @@ impl<'a> Weights<'a> {
         self.checkpoint.read(&self.key(name))
     }
 
-    /// As [`Weights::read`], in memory of its own.
+    /// [`Weights::read`] into an owned vector.
     pub(crate) fn vector(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>, ModelError> {
         let values = self.read(name, shape)?.into_owned();
         self.release(name);
         Ok(values)
     }
 
-    /// The tensor has been read for the last time.
+    /// Releases the tensor's memory after its last read.
     pub(crate) fn release(&self, name: &str) {
         self.checkpoint.release(&self.key(name));
     }

@@ -10,7 +10,7 @@ use crate::ModelError;
 
 /// Writes named f32 tensors as a safetensors file, in their order.
 ///
-/// The file appears whole or not at all: it is written under a temporary name in the same folder and then renamed.
+/// The file appears complete or not at all: it is written under a temporary name in the same folder and then renamed.
 ///
 /// # Errors
 /// When it cannot be written.
@@ -47,7 +47,7 @@ pub fn write(path: impl AsRef<Path>, tensors: &[(String, Vec<usize>, &[f32])]) -
         std::fs::rename(&part, path)
     })();
     written.map_err(|source| {
-        // An incomplete file is removed; a missing one is no second error.
+        // An incomplete file is removed; a missing one is not a second error.
         let _ = std::fs::remove_file(&part);
         ModelError::Write { file: path.display().to_string(), source }
     })

@@ -1,4 +1,4 @@
-//! Sizes read off the tensors' shapes, completed by the configuration file.
+//! Sizes from the tensors' shapes, completed by the configuration file.
 
 use super::json::Settings;
 use super::{Config, DinoConfig, StaticPosition};
@@ -12,7 +12,7 @@ const PUBLISHED_WINDOW: usize = 2304;
 /// Input of DINOv2 in the published model.
 const PUBLISHED_DINO_INPUT: [usize; 2] = [252, 448];
 
-/// Patches along a side above which no vision transformer runs.
+/// Most patches along a side of a vision transformer.
 const LARGEST_GRID: usize = 512;
 
 /// The prefix of a StreamSplat checkpoint's keys.
@@ -29,7 +29,7 @@ pub(crate) fn prefix(checkpoint: &Checkpoint) -> Result<&'static str, ModelError
     })
 }
 
-/// Actual kind of a file of the wrong kind, for the end of an error.
+/// Names the actual kind of a file of the wrong kind, for the end of an error message.
 pub(crate) fn hint(checkpoint: &Checkpoint) -> String {
     if let Some(layout) = DinoLayout::of(checkpoint) {
         return format!("; this is a file of DINOv2 (names of {})", layout.name());
@@ -135,7 +135,7 @@ impl Config {
         Ok(config)
     }
 
-    /// Windows cut a sequence into equal parts: anything else has no definition.
+    /// Checks that windows cut a sequence into equal parts.
     fn check_windows(&self, settings: &Settings) -> Result<(), ModelError> {
         let n = self.tokens();
         let divides = |key: &str, window: usize, tokens: usize, what: &str| {
@@ -152,7 +152,7 @@ impl Config {
     }
 }
 
-/// The frame size, which has to make `rows` = 2N learned positions.
+/// The frame size, which must yield `rows` = 2N learned positions.
 fn resolution(settings: &Settings, patch: usize, rows: usize) -> Result<[usize; 2], ModelError> {
     let stated = settings.pair("resolution")?;
     let [height, width] = stated.unwrap_or(PUBLISHED_RESOLUTION);

@@ -26,7 +26,7 @@ impl Settings {
         Settings { file: file.into(), values: Map::new() }
     }
 
-    /// The JSON file of the checkpoint's name in the same folder; no settings without one.
+    /// Reads the JSON file of the checkpoint's name in the same folder. Without one there are no settings.
     pub(crate) fn beside(checkpoint: &Path) -> Result<Settings, ModelError> {
         let path = checkpoint.with_extension("json");
         let file = path.display().to_string();
@@ -104,7 +104,7 @@ impl Settings {
         }
     }
 
-    /// An error where the file states another value for `key` than the tensors' shapes do.
+    /// Returns an error where the file's value for `key` differs from that of the tensors' shapes.
     pub(crate) fn agrees(&self, key: &str, shapes: usize) -> Result<(), ModelError> {
         match self.size(key)? {
             Some(stated) if stated != shapes => {
@@ -115,7 +115,7 @@ impl Settings {
     }
 }
 
-/// A positive integer that a size can be: the bound keeps products of a few of them from overflowing.
+/// A positive integer that a size can have: the bound keeps products of several of them from overflowing.
 fn size(value: &Value) -> Option<usize> {
     value.as_u64().filter(|n| (1..=1 << 20).contains(n)).map(|n| n as usize)
 }

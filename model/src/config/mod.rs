@@ -6,7 +6,7 @@ mod json;
 pub(crate) use derive::{hint, prefix};
 pub(crate) use json::Settings;
 
-/// Where the position offset of static Gaussians comes from.
+/// Layer that computes the position offset of static Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StaticPosition {
     /// `gs_layer.xyz_static`: `tanh`.
@@ -35,7 +35,7 @@ pub struct Config {
     pub upsampler_window: usize,
     /// Channels after each of the two upsampling stages: multiples of 64.
     pub upsampler_widths: [usize; 2],
-    /// Tokens per window in the encoder's attention and the decoder's self-attention; `None` attends to everything.
+    /// Tokens per window in the encoder's attention and the decoder's self-attention; `None`: to all tokens.
     pub encoder_window: Option<usize>,
     /// True if frames are conditioned on the other frame's DINOv2 features; otherwise on its embedding.
     pub use_dino: bool,

@@ -13,7 +13,7 @@ fn shape(d: usize, windows: Windows) -> Shape {
     Shape { heads: d / HEAD, width: HEAD, windows }
 }
 
-/// Returns true if an attention is zero-output and left out. Its tensors are checked all the same.
+/// Returns true if an attention is zero-output and left out. Its tensors are checked in any case.
 fn is_left_out(weights: &Weights<'_>, d: usize) -> Result<bool, ModelError> {
     if !weights.leaves_out("out_proj") {
         return Ok(false);
@@ -26,8 +26,8 @@ fn is_left_out(weights: &Weights<'_>, d: usize) -> Result<bool, ModelError> {
 }
 
 /// Attention of the tokens `at` (`None`: all) to each other, from their queries, keys and values `[3·heads][rows][64]`.
-/// `kept` holds keys and values of all tokens, `[2·heads][n][64]`, and gets theirs; without it, tokens see those of
-/// `qkv` alone.
+/// `kept` holds keys and values of all tokens, `[2·heads][n][64]`, and those of these tokens are replaced. Without it,
+/// tokens attend only to those of `qkv`.
 pub(crate) fn attend_kept(
     precision: Precision,
     level: Level,
@@ -61,7 +61,7 @@ pub(crate) struct SelfAttention {
 }
 
 impl SelfAttention {
-    /// The attention `name` of a block with its norm; none where it is zero-output.
+    /// Loads the attention `name` of a block with its norm; `None` where it is zero-output.
     pub(crate) fn load(
         weights: &Weights<'_>,
         norm: &str,
@@ -81,7 +81,8 @@ impl SelfAttention {
     }
 
     /// `x += attention(norm(x))`, where the rows of `x` are the tokens `at` (`None`: all). `kept` holds keys and values
-    /// of all tokens, `[2·heads][n][64]`, and gets theirs; without it, tokens see those of `x` alone.
+    /// of all tokens, `[2·heads][n][64]`, and those of these tokens are replaced. Without it, tokens attend only to
+    /// those of `x`.
     pub(crate) fn accumulate(
         &self,
         level: Level,
@@ -115,7 +116,7 @@ pub(crate) struct CrossAttention {
 }
 
 impl CrossAttention {
-    /// The attention `name` of a block with its norm; none where it is zero-output.
+    /// Loads the attention `name` of a block with its norm; `None` where it is zero-output.
     pub(crate) fn load(
         weights: &Weights<'_>,
         norm: &str,

@@ -8,7 +8,7 @@ use crate::ModelError;
 use crate::checkpoint::Weights;
 use crate::reuse::{BlockCache, Rows};
 
-/// `x += attention(norm₁(x))`, `x += feed_forward(norm₂(x))`; a branch that is zero-output is none.
+/// `x += attention(norm₁(x))`, `x += feed_forward(norm₂(x))`; a zero-output branch is `None`.
 #[derive(Clone)]
 pub(crate) struct Block {
     attn: Option<SelfAttention>,
@@ -23,7 +23,7 @@ impl Block {
         })
     }
 
-    /// Takes `rows` through it. `kept` is the block's cache where something is kept.
+    /// Applies the block to `rows`. `kept` is the block's cache, where there is one.
     pub(crate) fn apply(
         &self,
         level: Level,
@@ -41,12 +41,12 @@ impl Block {
         }
     }
 
-    /// Returns true if nothing is left of it but `x += 0`.
+    /// Returns true if only `x += 0` remains of the block.
     pub(crate) fn is_zero_output(&self) -> bool {
         self.attn.is_none() && self.mlp.is_none()
     }
 
-    /// The windows in which it mixes tokens, if it does.
+    /// The windows in which the block mixes tokens, if it does.
     pub(crate) fn mixed(&self, windows: Windows) -> Option<Windows> {
         self.attn.as_ref().map(|_| windows)
     }
@@ -56,7 +56,7 @@ impl Block {
     }
 }
 
-/// The windows of block `index`: odd ones are rolled by half a window. Without a window everything sees everything.
+/// The windows of block `index`: odd ones are rolled by half a window. Without a window every token attends to all.
 pub(crate) fn windows(window: Option<usize>, index: usize) -> Windows {
     match window {
         None => Windows::Full,

@@ -15,7 +15,7 @@ pub(crate) struct FeedForward {
 }
 
 impl FeedForward {
-    /// The layer `name` of a block with its norm; none where it is zero-output.
+    /// Loads the layer `name` of a block with its norm; `None` where it is zero-output.
     pub(crate) fn load(
         weights: &Weights<'_>,
         norm: &str,
@@ -36,8 +36,8 @@ impl FeedForward {
         }))
     }
 
-    /// `x += feed_forward(norm(x))`; `after_zero_output`: to what a zero-output branch before it left to be done, `x +=
-    /// 0`.
+    /// `x += feed_forward(norm(x))`. With `after_zero_output`, `x += 0` comes first: the rest of a zero-output branch
+    /// before it.
     pub(crate) fn accumulate(&self, level: Level, after_zero_output: bool, x: &mut [f32]) {
         if after_zero_output {
             add_zero(x);

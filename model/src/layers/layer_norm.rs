@@ -23,7 +23,7 @@ impl LayerNorm {
         })
     }
 
-    /// For products that normalise their rows.
+    /// The norm for products that normalise their rows.
     pub(crate) fn norm(&self) -> Norm<'_> {
         Norm::layer(&self.weight, &self.bias, Self::EPSILON)
     }

@@ -45,8 +45,8 @@ impl Linear {
         Ok(layer)
     }
 
-    /// One layer of several with the same input, `names[i].weight [n, k]` and `names[i].bias [n]`: their outputs one
-    /// after the other.
+    /// Loads several layers with the same input as one, `names[i].weight [n, k]` and `names[i].bias [n]`. Their outputs
+    /// follow one another.
     pub(crate) fn load_joined(weights: &Weights<'_>, names: &[&str], n: usize, k: usize) -> Result<Linear, ModelError> {
         let mut weight = Vec::with_capacity(names.len() * n * k);
         let mut bias = Vec::with_capacity(names.len() * n);
@@ -60,8 +60,8 @@ impl Linear {
     }
 
     /// The layer of the tensors `name.weight [4·width, k]` and `name.bias [4·width]` that widens a token to 2×2
-    /// sub-tokens. Files have the sub-tokens' values of a channel side by side; here come all channels of the first,
-    /// then of the second, and so on: what [`Linear::shuffled`] writes.
+    /// sub-tokens. In files the sub-tokens' values of a channel are adjacent. Here all channels of the first sub-token
+    /// come first, then those of the second, and so on, as [`Linear::shuffled`] writes them.
     pub(crate) fn load_sub_tokens(
         weights: &Weights<'_>,
         name: &str,
@@ -113,7 +113,7 @@ impl Linear {
         &self.weights
     }
 
-    /// The bias as what follows the product.
+    /// The bias as the product's epilogue.
     pub(crate) fn epilogue(&self) -> Epilogue<'_> {
         Epilogue::new().maybe_bias(self.bias.as_deref())
     }

@@ -1,4 +1,4 @@
-//! The layers all parts are built of: weights packed at load, applied to row-major matrices of tokens.
+//! The layers of all parts: weights packed at load, applied to row-major matrices of tokens.
 
 mod attention;
 mod block;

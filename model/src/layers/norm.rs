@@ -18,12 +18,12 @@ impl RmsNorm {
         Ok(RmsNorm(weights.vector(&format!("{name}.weight"), &[d])?))
     }
 
-    /// For products that normalise their rows.
+    /// The norm for products that normalise their rows.
     pub(crate) fn norm(&self) -> Norm<'_> {
         Norm::rms(&self.0, Self::EPSILON)
     }
 
-    /// The rows by themselves.
+    /// Returns the normalised rows.
     pub(crate) fn of(&self, level: Level, x: &[f32]) -> Vec<f32> {
         let mut out = vec![0.0; x.len()];
         norm::rms_norm(level, x, &self.0, Self::EPSILON, &mut out);

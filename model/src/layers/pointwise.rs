@@ -1,4 +1,4 @@
-//! Narrow layers, whose tokens lie in lanes.
+//! Narrow layers, whose tokens are in lanes.
 
 use streamsplat_kernels::gemm::Activation;
 use streamsplat_kernels::pointwise::Layer;
@@ -7,7 +7,7 @@ use super::Bias;
 use crate::ModelError;
 use crate::checkpoint::Weights;
 
-/// Layers with the same input as one, their outputs one after the other: each is a name, its output channels and
+/// Loads layers with the same input as one; their outputs follow one another. Each is a name, its output channels and
 /// whether it has a bias.
 pub(crate) fn load_pointwise(
     weights: &Weights<'_>,
@@ -20,7 +20,7 @@ pub(crate) fn load_pointwise(
         weight.extend_from_slice(&weights.read(&format!("{name}.weight"), &[n, k])?);
         match bias {
             Bias::Yes => biases.extend_from_slice(&weights.vector(&format!("{name}.bias"), &[n])?),
-            // Adding it changes no bit of a number.
+            // Adding −0 changes no bit of a number.
             Bias::No => biases.resize(biases.len() + n, -0.0),
         }
     }

@@ -6,8 +6,8 @@ use streamsplat_kernels::math::f64::{exp, sin_cos};
 
 /// `pe[i, 2k] = sin(i·ω_k)`, `pe[i, 2k+1] = cos(i·ω_k)`, `ω_k = 10000^(−2k/d)`: a table `[n, d]`.
 ///
-/// Frequencies and angles are rounded to f32 where the published code rounds them: its tables are off the exact ones by
-/// 1e-4 at token 2304, and a checkpoint without a stored table was trained with such a one.
+/// Frequencies and angles are rounded to f32 where the published code rounds them. Its tables differ from the exact
+/// ones by 1e-4 at token 2304, and checkpoints without a stored table were trained with them.
 pub(crate) fn sinusoid(n: usize, d: usize) -> Vec<f32> {
     // ln 10000
     let rate = (-9.210_340_371_976_184 / d as f64) as f32;
@@ -22,7 +22,7 @@ pub(crate) fn sinusoid(n: usize, d: usize) -> Vec<f32> {
     table
 }
 
-/// `x += 0`: −0 becomes +0, and no other bit changes. This is all that is left of a zero-output branch: see
+/// `x += 0`: −0 becomes +0, and no other bit changes. Only this remains of a zero-output branch: see
 /// [`crate::zero_output`].
 pub(crate) fn add_zero(x: &mut [f32]) {
     x.par_chunks_mut(1 << 14).for_each(|x| x.iter_mut().for_each(|x| *x += 0.0));

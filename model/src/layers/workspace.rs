@@ -1,4 +1,4 @@
-//! Memory that the parts use one after the other, and keep for the next call.
+//! Memory that the parts use one after another, and keep for the next call.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -14,8 +14,8 @@ pub(crate) struct Workspace {
     pub(crate) mixed: Aligned<f32>,
 }
 
-/// Free workspaces: as many as the most concurrent calls so far. Fresh memory is slow, as the system clears it page by
-/// page.
+/// Free workspaces, up to the largest number of concurrent calls so far. Fresh memory is slow, as the system clears it
+/// page by page.
 #[derive(Default)]
 pub(crate) struct Workspaces(Mutex<Vec<Workspace>>);
 

@@ -22,7 +22,7 @@ fn some(at: &[u32], x: &[f32], n: usize) -> Vec<f32> {
 /// Cache of the static head.
 #[derive(Debug, Default)]
 pub(crate) struct StaticHeadCache {
-    /// Calls of the upsampler when it last gave something.
+    /// Calls of the upsampler at the last update.
     calls: u64,
     gaussians: StaticGaussians,
     pub(super) tokens: Tokens,
@@ -34,8 +34,8 @@ impl StaticHeadCache {
         self.gaussians.opacity.len() * 4 * (3 + 2 + 1 + 1 + 3)
     }
 
-    /// The Gaussians of `tokens`, `n` of them and the result of the last call of `upsampler`. `head` computes those of
-    /// all cells, or of some.
+    /// Returns the Gaussians of the `n` rows of `tokens`, the result of the last call of `upsampler`. `head` computes
+    /// those of all cells, or of some.
     pub(crate) fn renew(
         &mut self,
         n: usize,
@@ -88,8 +88,8 @@ impl DeformationHeadCache {
         self.still.bytes() + 4 * (3 * self.motion.0.len() + 2 * self.motion.1.len())
     }
 
-    /// The motion of `tokens`, the result of the last call of `upsampler`. `head` computes that of some rows from both
-    /// kinds of tokens.
+    /// Returns the motion of `tokens`, the result of the last call of `upsampler`. `head` computes that of some rows
+    /// from both kinds of tokens.
     pub(crate) fn renew(
         &mut self,
         level: Level,
@@ -115,7 +115,7 @@ impl DeformationHeadCache {
                 self.tokens.count(at.len(), n);
             }
             latest => {
-                // Static tokens are kept once the upsampler has begun to leave something out.
+                // Static tokens are kept once the upsampler begins to skip tokens.
                 self.kept = latest.is_some();
                 if self.kept {
                     self.still.keep(static_tokens);

@@ -1,38 +1,37 @@
-//! Leaving out what did not change since the key frame before.
+//! Skips the computation of tokens that did not change since the previous key frame.
 //!
-//! A [`Session`](crate::Session) may keep, for every part of a network, the part's last input and output: its
-//! [`Cache`]. With it the part computes only rows (tokens) whose input changed, and takes the rest from there:
+//! A [`Session`](crate::Session) may keep the last input and output of every part of a network, in its [`Cache`]. A
+//! part then computes only rows (tokens) whose input changed, and takes the others from the cache:
 //!
 //! - [`Saving::Exact`]: no output bit changes. A block whose attention runs in windows computes the windows with a
-//!   token whose bits changed. Without windows every token depends on all others, and nothing can be
-//!   kept: this is for models with `encoder_window`.
-//! - [`Saving::Within`]: a token is computed anew when its input moved by more than the tolerance (relative to its
-//!   length, see [`streamsplat_kernels::change`]) since it was last computed, block by block. Only such tokens are
-//!   queried and only their keys and values are replaced; every other keeps its last output. The decoder and the
-//!   deformation upsampler tolerate [`Cache::MOTION`] times as much: motion shows less of an error than colour does. A
-//!   token that a block drops is dropped by all that follow. Errors do not build up without bound: a part computes
-//!   everything anew after [`Cache::REFRESH`] steps, or once [`Cache::REPLACED`] times all its tokens have been
-//!   computed one by one.
+//!   token whose bits changed. Without windows every token depends on all others and nothing can be kept, so this is
+//!   for models with `encoder_window`.
+//! - [`Saving::Within`]: block by block, a token is recomputed when its input moved by more than the tolerance since
+//!   its last computation (relative to its length, see [`streamsplat_kernels::change`]). Only these tokens are queried
+//!   and only their keys and values are replaced; every other keeps its last output. The decoder and the deformation
+//!   upsampler tolerate [`Cache::MOTION`] times as much, as errors are less visible in motion than in colour. A token
+//!   that a block drops is dropped by all following blocks. Errors do not grow without bound: a part recomputes
+//!   everything after [`Cache::REFRESH`] steps, or once it has computed [`Cache::REPLACED`] times its number of tokens
+//!   one by one.
 //!
-//! If more than [`Cache::MOST`] of a part's tokens changed, it is computed without a cache, and keeps only
-//! its input: a moving camera costs the comparison alone. It is computed and kept when that share falls again.
-//! The first frame is kept whole; the first pair's parts for motion only if the encoder's tokens did not
-//! change as much.
+//! If more than [`Cache::MOST`] of a part's tokens changed, it is computed without a cache and keeps only its input: a
+//! moving camera costs only the comparison. It is computed and kept when that share falls again. The first frame is
+//! kept whole. The first pair's parts for motion are kept only if the encoder's tokens did not change as much.
 //!
-//! The decoder's input is a pair of frames, and its cache belongs to the pair's places, not to the frames: `h` of frame
-//! k is compared in the place of the later frame with that of frame k−1, and a step later, in the place of the earlier
-//! frame, with it again. A new thing changes one place only, but the motion in both: a token is computed in both
-//! places when it changed in either.
+//! The decoder's input is a pair of frames. Its cache belongs to the two places of the pair (earlier and later), not to
+//! the frames. `h` of frame k is first compared with that of frame k−1 in the place of the later frame; a step later,
+//! in the place of the earlier frame, it is compared with that of frame k−1 again. A new object changes only one place,
+//! but the motion in both, so a token is computed in both places when it changed in either.
 //!
 //! DINOv2 has a session of its own ([`DinoSession`](crate::DinoSession)), with the same gates and the decoder's
-//! tolerance, and nothing to keep exactly: each of its features depends on all others. They are compared once more as
-//! the decoder's condition. The class token and the registers enter it the same in every frame, and so are computed
-//! when everything is.
+//! tolerance. It keeps nothing exactly, as each of its features depends on all others. They are compared once more as
+//! the decoder's condition. The class token and the registers have the same input in every frame, and so are computed
+//! only when everything is.
 //!
 //! # Order
-//! Which rows are computed follows from the comparison alone, whose order of operations is fixed; rows are gathered in
-//! ascending order of tokens (in the upsamplers: each token's four sub-tokens one after the other), and no row's bits
-//! depend on which others there are. So the results are the same on every level and for any number of threads.
+//! The set of computed rows follows only from the comparison, whose order of operations is fixed. Rows are gathered in
+//! ascending order of tokens (in the upsamplers: each token's four sub-tokens one after the other). No row's bits
+//! depend on the other rows of the set. So the results are the same on every level and for any number of threads.
 //!
 //! Source: Dutson, Li and Gupta, "Eventful Transformers" (ICCV 2023), with one gate per block.
 
@@ -49,12 +48,12 @@ pub(crate) use rows::{Rows, gather, keep_heads};
 
 use crate::Config;
 
-/// Work that may be left out.
+/// Work that may be skipped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Saving {
     /// Results of the same input bits as before.
     Exact,
-    /// Also what would be computed from inputs that moved by no more than this fraction of their length.
+    /// Also results of inputs that moved by no more than this fraction of their length.
     Within(f32),
 }
 
@@ -75,7 +74,7 @@ impl Saving {
     }
 }
 
-/// Work of a part in tokens: one for every token a block computes, or does not need to.
+/// Work of a part in tokens: one for every token that a block computes or takes from its cache.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tokens {
     /// Computed.
@@ -111,17 +110,17 @@ pub struct Cache {
 }
 
 impl Cache {
-    /// Steps after which a part computes everything anew.
+    /// Steps after which a part recomputes everything.
     pub const REFRESH: u32 = 48;
-    /// How many times over a part's tokens are computed one by one before it computes all of them anew.
+    /// Multiple of a part's tokens that are computed one by one before all of them are recomputed.
     pub const REPLACED: usize = 6;
-    /// By how much the tolerance is larger in the decoder and the deformation upsampler.
+    /// Factor of the tolerance in the decoder and the deformation upsampler.
     pub const MOTION: f32 = 4.0;
     /// The largest share of a part's tokens that are computed one by one.
     pub const MOST: f64 = 0.6;
 
-    /// An empty one; `None` when a network of this size has nothing to keep: where every token sees all others, no part
-    /// of a frame is exactly as it was.
+    /// Returns an empty cache, or `None` when a network of this size has nothing to keep: where every token attends to
+    /// all others, no result is exactly as before.
     pub(crate) fn new(saving: Saving, config: &Config) -> Option<Cache> {
         if saving == Saving::Exact && config.encoder_window.is_none() {
             return None;
@@ -149,13 +148,13 @@ impl Cache {
         ]
     }
 
-    /// Bytes it holds: at most those of a first key frame and a pair, for any length of the stream.
+    /// Bytes held: at most those of a first key frame and a pair, for any length of the stream.
     pub fn bytes(&self) -> usize {
         let pair: usize = self.deformation.iter().map(|(up, head)| up.bytes() + head.bytes()).sum();
         self.encoder.bytes() + self.static_upsampler.bytes() + self.static_head.bytes() + self.decoder.bytes() + pair
     }
 
-    /// An empty one with the same counters.
+    /// Returns an empty cache with the same counters.
     pub(crate) fn emptied(&self, config: &Config) -> Option<Cache> {
         let mut empty = Cache::new(self.saving, config)?;
         let counts = [

@@ -14,12 +14,12 @@ use crate::Config;
 pub(crate) struct PartCache {
     saving: Saving,
     schedule: Schedule,
-    /// The part's input, where that of the first block is another.
+    /// The part's input, where it is not that of the first block.
     input: Option<Gate>,
-    /// The features that each frame of a pair is conditioned on. Where there are any, tokens are those of both frames,
+    /// The features on which each frame of a pair is conditioned. Where there are any, tokens are those of both frames,
     /// the earlier one's first.
     conditions: Vec<Gate>,
-    /// None where there is nothing to keep.
+    /// Empty where there is nothing to keep.
     blocks: Vec<BlockCache>,
     output: Vec<f32>,
     /// Tokens of all blocks.
@@ -46,7 +46,7 @@ impl PartCache {
         let all = blocks.iter().map(|[n, _]| n).sum();
         let block = |&[n, d]: &[usize; 2]| BlockCache::new(n, d);
         let blocks = match saving {
-            // Each token sees all of the other frame's: where one bit differs, all do.
+            // Each token attends to all of the other frame's: where one bit differs, all results do.
             Saving::Exact if !conditions.is_empty() => Vec::new(),
             _ => blocks.iter().map(block).collect(),
         };
@@ -66,12 +66,12 @@ impl PartCache {
         PartCache::new(saving, Some(Gate::new(n, config.hidden_dim)), Vec::new(), &blocks)
     }
 
-    /// DINOv2 of this depth on `n` tokens of width `d`: each sees all others, so nothing is kept exactly.
+    /// DINOv2 of this depth on `n` tokens of width `d`: each attends to all others, so nothing is kept exactly.
     pub(crate) fn features(saving: Saving, n: usize, d: usize, depth: usize) -> Option<PartCache> {
         (saving != Saving::Exact).then(|| PartCache::new(saving.of_motion(), None, Vec::new(), &vec![[n, d]; depth]))
     }
 
-    /// An empty one with the same counters.
+    /// Returns an empty cache with the same counters.
     pub(crate) fn emptied(&self) -> PartCache {
         let block = |block: &BlockCache| BlockCache::new(block.gate.rows(), block.gate.width());
         PartCache {
@@ -120,16 +120,16 @@ impl BlockCache {
     }
 }
 
-/// One call of a part, block by block: which tokens are computed, and which results are kept.
+/// One call of a part, block by block: selects the tokens that are computed and keeps results.
 pub(crate) struct Pass<'a> {
     level: Level,
-    /// None where nothing is kept.
+    /// `None` where nothing is kept.
     cache: Option<&'a mut PartCache>,
 }
 
 impl<'a> Pass<'a> {
-    /// Begins a call on `x [n, d]`, the input of the blocks (of an upsampler: of its first layer), and returns the rows
-    /// of it that are to be computed. `moves`: see [`Schedule::next`].
+    /// Begins a call on `x [n, d]`, the input of the blocks (of an upsampler: of its first layer). Returns the rows
+    /// that must be computed. `moves`: see [`Schedule::next`].
     pub(crate) fn begin(
         level: Level,
         cache: Option<&'a mut PartCache>,
@@ -178,7 +178,7 @@ impl<'a> Pass<'a> {
         self.cache.is_some()
     }
 
-    /// Tokens of the condition `features [m, channels]` of frame `side` that are to be computed; `None`: all.
+    /// Returns the tokens of the condition `features [m, channels]` of frame `side` that must be computed; `None`: all.
     pub(crate) fn condition(&mut self, side: usize, features: &[f32], rows: &Rows) -> Option<Vec<u32>> {
         let cache = self.cache.as_deref_mut()?;
         let gate = &mut cache.conditions[side];
@@ -191,13 +191,13 @@ impl<'a> Pass<'a> {
         Some(at)
     }
 
-    /// Leaves in `rows` those that block `index` has to compute, keeps its input, and returns its cache. `mixed` are
-    /// the windows in which the block mixes tokens, if it does.
+    /// Reduces `rows` to those that block `index` must compute, keeps its input, and returns its cache. `mixed` are the
+    /// windows in which the block mixes tokens, if it does.
     pub(crate) fn admit(&mut self, index: usize, mixed: Option<Windows>, rows: &mut Rows) -> Option<&mut BlockCache> {
         let cache = self.cache.as_deref_mut()?;
         let block = &mut cache.blocks[index];
-        // The first block's gate has seen its input already, and would drop a token whose partner in the other frame
-        // changed.
+        // `begin` has already passed the first block's input through its gate, which would now drop a token whose
+        // partner in the other frame changed.
         if index > 0 || cache.input.is_some() {
             block.gate.pass(self.level, cache.saving.tolerance(), rows);
         }
@@ -223,7 +223,7 @@ impl<'a> Pass<'a> {
     }
 }
 
-/// All tokens, of `n`, of the windows that hold one of `at`.
+/// Returns all tokens, of `n`, of the windows that contain one of `at`.
 fn whole_windows(windows: Windows, at: &[u32], n: usize) -> Vec<u32> {
     let window = |token: usize| match windows {
         Windows::Full => 0,

@@ -1,4 +1,4 @@
-//! The tokens that a pass computes, as rows; and rows that are kept to compare them with.
+//! The tokens that a pass computes, as rows, and kept rows for the comparison.
 
 use streamsplat_kernels::Level;
 use streamsplat_kernels::change::{Tolerance, moved};
@@ -6,7 +6,7 @@ use streamsplat_kernels::memory::Aligned;
 
 use crate::layers::sized;
 
-/// Rows of a matrix `[n, d]`: where they lie, and their values.
+/// Rows of a matrix `[n, d]`: their places and their values.
 pub(crate) struct Rows {
     /// Their places; `None`: all, in order.
     pub(crate) at: Option<Vec<u32>>,
@@ -25,7 +25,7 @@ impl Rows {
         rows
     }
 
-    /// Keeps those that are `wanted`.
+    /// Keeps the rows that are `wanted`.
     fn retain(&mut self, wanted: &[bool], d: usize) {
         let mut kept = 0;
         for (row, _) in wanted.iter().enumerate().filter(|(_, wanted)| **wanted) {
@@ -56,8 +56,8 @@ pub(super) fn scatter(at: &[u32], x: &[f32], to: &mut [f32], d: usize) {
     }
 }
 
-/// Keeps the rows of every head of `x [heads][rows][width]` at their places of `kept [heads][n][width]`; all of them
-/// make it anew.
+/// Writes the rows of every head of `x [heads][rows][width]` to their places in `kept [heads][n][width]`. If `at` is
+/// `None`, `kept` is rebuilt.
 pub(crate) fn keep_heads(at: Option<&[u32]>, x: &[f32], width: usize, kept: &mut Vec<f32>) {
     match at {
         None => {
@@ -80,7 +80,7 @@ pub(super) fn places(marks: &[bool]) -> Vec<u32> {
     (0..marks.len() as u32).filter(|i| marks[*i as usize]).collect()
 }
 
-/// Rows as they were when they were last computed.
+/// Rows as of their last computation.
 #[derive(Debug)]
 pub(super) struct Gate {
     d: usize,
@@ -101,7 +101,7 @@ impl Gate {
         self.rows = x.len() / self.d;
     }
 
-    /// The rows of `x` that moved; all, when nothing of this size was kept.
+    /// Marks the rows of `x` that moved; all of them when nothing of this size was kept.
     pub(super) fn moved(&self, level: Level, tolerance: Tolerance, x: &[f32]) -> Vec<bool> {
         let mut marks = vec![true; x.len() / self.d];
         if x.len() == self.reference.len() {
@@ -110,14 +110,14 @@ impl Gate {
         marks
     }
 
-    /// Keeps the rows `at` of `x`, which are all.
+    /// Keeps the rows `at` of `x`, which holds all rows.
     pub(super) fn replace(&mut self, at: &[u32], x: &[f32]) {
         for range in at.iter().map(|row| *row as usize * self.d..(*row as usize + 1) * self.d) {
             self.reference[range.clone()].copy_from_slice(&x[range]);
         }
     }
 
-    /// Drops the rows that did not move, and keeps the values of the others; keeps all where `rows` are all.
+    /// Drops the rows that did not move, and keeps the values of the others. Keeps all where `rows` holds all rows.
     pub(super) fn pass(&mut self, level: Level, tolerance: Tolerance, rows: &mut Rows) {
         let Some(at) = &rows.at else { return self.keep(&rows.x) };
         let mut marks = vec![false; at.len()];
@@ -131,7 +131,7 @@ impl Gate {
         &self.reference
     }
 
-    /// Rows it was made for, or keeps.
+    /// Number of rows.
     pub(super) fn rows(&self) -> usize {
         self.rows
     }

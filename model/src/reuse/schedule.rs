@@ -1,19 +1,19 @@
-//! When a part computes only what changed.
+//! Decides when a part computes only changed tokens.
 
 use super::{Cache, Saving};
 
 /// Extent of a part's computation in a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Extent {
-    /// Everything, and nothing is kept but the input.
+    /// Everything, and only the input is kept.
     Plain,
-    /// Everything, and all of it is kept.
+    /// Everything, and everything is kept.
     Refresh,
     /// Tokens that changed.
     Changed,
 }
 
-/// Decides between them.
+/// Decides between the extents.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Schedule {
     /// True if there is an input to compare with.
@@ -37,8 +37,8 @@ impl Schedule {
         self.seen && !self.kept
     }
 
-    /// The step in which `changed` of `all` tokens changed since they were last kept. In the first one the only
-    /// evidence is whether the picture `moves`; then savings are unlikely.
+    /// Returns the extent of a step in which `changed` of `all` tokens changed since they were last kept. In the first
+    /// step the only evidence is whether the picture `moves`; if so, savings are unlikely.
     pub(super) fn next(&mut self, saving: Saving, moves: bool, changed: usize, all: usize) -> Extent {
         let extent = if !self.seen {
             if moves { Extent::Plain } else { Extent::Refresh }
@@ -47,7 +47,7 @@ impl Schedule {
         } else if !self.kept {
             Extent::Refresh
         } else if saving == Saving::Exact {
-            // Nothing wears off.
+            // Exact results need no refresh.
             Extent::Changed
         } else if self.age + 1 >= Cache::REFRESH || self.replaced + changed > Cache::REPLACED * all {
             Extent::Refresh

@@ -1,21 +1,20 @@
 //! Residual branches that add nothing, and are left out.
 //!
-//! Every block is made of residual branches, `x += project(inner(norm(x)))`: attention with the projection `out_proj`,
-//! the feed-forward layer with `c_proj`. A branch is *zero-output* when the checkpoint holds nothing but zeros there,
-//! of either sign: the weight, and the bias where there is one. Training that begins with such branches, and keeps some
-//! of them, leaves checkpoints that have many.
+//! Every block consists of residual branches, `x += project(inner(norm(x)))`: attention with the projection `out_proj`,
+//! the feed-forward layer with `c_proj`. A branch is *zero-output* when its projection is all zeros in the checkpoint,
+//! of either sign: the weight, and the bias where there is one. Checkpoints have many of them when training starts with
+//! zero-output branches and keeps some.
 //!
-//! # What is left of it
-//! A zero-output branch adds +0 to every token. A product with zeros is a chain of fused multiply-adds that starts from
-//! +0 and, as `a·0 + 0` is +0 for every finite `a`, stays there, in f32 and in bf16; in 8-bit integers the sum is the
-//! integer 0, and its scales are not negative. A bias of −0 or none leaves +0 as it is. So norm, projections and
-//! attention of a zero-output branch are neither packed at load nor computed, and `x += 0` is what remains, on all
-//! levels, for any number of threads and in every precision: it turns −0 into +0, as the sum did, and changes no other
-//! bit.
+//! # What remains
+//! A zero-output branch adds +0 to every token. In f32 and bf16 a product with zeros is a chain of fused multiply-adds
+//! that starts from +0. It stays there, as `a·0 + 0` is +0 for every finite `a`. In 8-bit integers the sum is the
+//! integer 0, and its scales are not negative. A bias of −0, or none, leaves +0 unchanged. So norm, projections and
+//! attention of a zero-output branch are neither packed at load nor computed. Only `x += 0` remains, on all levels, for
+//! any number of threads and in every precision. It turns −0 into +0, as the sum does, and changes no other bit.
 //!
 //! The full computation differs only when a sum *inside* the branch is not finite. `∞·0` is NaN, and the full
-//! computation spreads that in f32 and bf16; here the token stays finite. Inputs and weights are finite, so this takes
-//! sums beyond 3.4·10³⁸. The branch's tensors are checked at load as all others are.
+//! computation spreads it in f32 and bf16; here the token stays finite. Inputs and weights are finite, so this requires
+//! sums beyond 3.4·10³⁸. The branch's tensors are checked at load like all others.
 //!
 //! [`LoadOptions::compute_zero_output`](crate::LoadOptions::compute_zero_output) computes them.
 
@@ -33,7 +32,7 @@ pub struct ZeroOutput {
     pub part: &'static str,
     /// Its residual branches, all of them.
     pub branches: usize,
-    /// How many of them are zero-output.
+    /// Number of zero-output branches among them.
     pub zero_output: usize,
     /// Values of the zero-output ones' layers.
     pub parameters: usize,

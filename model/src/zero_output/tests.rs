@@ -60,7 +60,7 @@ fn checkpoint() -> Vec<u8> {
             silence(&mut bytes, &format!("{name}.bias"));
         }
     }
-    // A bias is enough to be heard.
+    // A bias alone makes a branch count.
     silence(&mut bytes, "gs_predictor.gaussian_upsampler.attention_0.resblocks.1.attn.out_proj.weight");
     bytes
 }
@@ -136,7 +136,7 @@ fn zero_output_branches_are_counted_and_take_no_memory() {
     assert!(lean.zero_output().iter().all(|s| s.gflop > 0.0));
     assert_eq!(full.zero_output(), lean.zero_output());
     let parameters: usize = lean.zero_output().iter().map(|s| s.parameters).sum();
-    // And the norms before them.
+    // The norms before them as well.
     let norms = 2 * 128 + (64 + 2 * 64) + 3 * 128 + (3 * 64 + 64);
     assert_eq!(full.bytes() - lean.bytes(), 4 * (parameters + norms));
     assert!(

@@ -1,4 +1,4 @@
-"""The commands as they are typed, on clips a few patches large."""
+"""The commands as a user types them, on clips of a few patches."""
 import json
 
 import cv2
@@ -93,7 +93,7 @@ def test_a_branch_that_adds_next_to_nothing_is_zeroed_and_no_other(folder, tmp_p
     whole(folder, run, tmp_path / 'a.safetensors', '--intervals', '-1', '--dtype', 'f32')
     before = network.open_official(tmp_path / 'a.safetensors')
     sizes = {k: max(float(p.abs().max()) for p in m.parameters()) for k, m in before.named_modules() if k.endswith(('out_proj', 'c_proj'))}
-    least = sorted(v for v in sizes.values() if v > 0)[1] * 1.0001          # the two smallest that add anything
+    least = sorted(v for v in sizes.values() if v > 0)[1] * 1.0001          # the two smallest that are not zero
     main(['export', '--clips', str(folder), '--run', str(run), '--out', str(tmp_path / 'b.safetensors'), '--dtype', 'f32', '--zero-below', str(least)])
     after = network.open_official(tmp_path / 'b.safetensors')
     for k, v in after.state_dict().items():

@@ -13,7 +13,7 @@ def test_a_batch_depends_on_seed_and_step_alone(clips):
 
 
 def test_a_procedural_scene_moves_as_it_says(clips):
-    """Warping the second frame by the stated motion gives the first one, where nothing is hidden."""
+    """Warping the second frame by the stated motion yields the first one, where nothing is hidden."""
     pairs = data.Pairs(clips, 0, 1, procedural=1.0, gaps=(2, 6))
     better = []
     for i in range(12):
@@ -52,7 +52,7 @@ def test_a_scene_from_where_it_is_seen_is_the_scene_and_a_plane_from_the_side_is
             planes += 1
             got = np.stack([depth.turned_on_its_plane(image, 10.0) for image in s['rgb'][:2]])
             assert np.abs(got - s['turned'][:, 1])[s['both'][:, 1] > 0].mean() < 0.02
-        else:                                          # what is hidden from here and seen from there does not count
+        else:                                          # surfaces hidden from here and visible from there do not count
             assert (s['both'][:, 1, :, 2:-2] == 0).any() or not (s['foreground'][:2] > 0.99).any()
     assert planes
 

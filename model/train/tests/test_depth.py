@@ -1,4 +1,4 @@
-"""What is measured of depth, and what keeps two frames apart in it."""
+"""Measurements of depth, and the separation of two frames in depth."""
 import types
 
 import numpy as np
@@ -25,7 +25,7 @@ def net():
 
 
 def of_truth(clips, sign):
-    """A `near_of` that knows the scenes that are asked, in their order."""
+    """A `near_of` that returns the true nearness of the scenes, in their order."""
     source, calls = data.Pairs(clips, depth.VALIDATION, 1, middle=1), iter(range(1 << 20))
     return lambda frames: sign * source.scene(np.random.default_rng([depth.VALIDATION, next(calls)]))['depth']
 
@@ -61,7 +61,7 @@ def test_frames_kept_apart_are_composited_as_with_equal_depths(net):
     got, _ = render_pair(net(frames), times, 48, 64, torch.full((1, 3, 3), 0.5))
     torch.testing.assert_close(got[:, :, :3], want[:, :, :3])
     turned = {k: v.flip(1) if k in ('rgb', 'scale') else v for k, v in before.items()}
-    assert (render_pair(turned, times, 48, 64, torch.full((1, 3, 3), 0.5))[0] - want).abs().max() > 1e-3         # the pictures do depend on who is in front
+    assert (render_pair(turned, times, 48, 64, torch.full((1, 3, 3), 0.5))[0] - want).abs().max() > 1e-3         # the pictures depend on the order
 
 
 @torch.no_grad()
@@ -82,7 +82,7 @@ def test_what_ships_keeps_the_first_frames_depth_and_brings_the_second_forward()
     before = net(frames)
     assert not before['velocity'][:, 0, :, 1].any()
     assert (before['velocity'][:, 1, :, 1] - depth.APART).abs().max() < 2e-4
-    # Written once more it opens the same gate, and the motion that is seen stays.
+    # Written once more it opens the same gate, and the visible motion stays.
     assert depth.come_forward(net, frames) >= 0.1
     after = net(frames)
     assert not after['velocity'][:, 0, :, 1].any() and (after['velocity'][:, 1, :, 1] - depth.APART).abs().max() < 2e-4
@@ -111,7 +111,7 @@ def test_storage_order_is_how_equal_depths_are_composited_and_others_are_not(net
 
 @pytest.fixture
 def leaning(net):
-    """A network as the start leaves it where it matters: tokens with a constant, residual branches that add nothing."""
+    """A network like the analytic start in the relevant parts: tokens with a constant, residual branches that add nothing."""
     up = net.gs_predictor.gaussian_upsampler
     for _, last, _ in network.branches(net):
         for p in last.parameters():

@@ -57,7 +57,7 @@ def test_true_depth_is_nearer_to_the_view_from_the_side_than_flat_depth_or_the_o
     for k in range(40):
         key, front, y, turned, inner = (torch.from_numpy(np.ascontiguousarray(a)).float() for a in source.turned(1, k, degrees))
         assert key.shape == turned.shape == (1, 3, 144, 256) and y.shape == inner.shape == front.shape == (1, 144, 256)
-        if count == 3 or y.std() < 0.15:               # one plane, or planes near each other, look alike from everywhere
+        if count == 3 or y.std() < 0.15:               # one plane, or planes near each other, look the same from everywhere
             continue
         g, _ = net.static(net.encode(key))
         of = lambda y, degrees: float(lifted.lifted_loss(g, y, key, turned, inner, torch.zeros(1, 3), degrees, net.config.splat_grid, 2)[1]['turned'])
@@ -78,7 +78,7 @@ def test_views_from_the_side_train_the_static_half(clips):
         return net.state_dict()
 
     without, tiny, whole = trained(0.0), trained(1e-30), trained(1.0)
-    assert all(torch.equal(v, tiny[k]) for k, v in without.items())          # the same frames, so the loss alone makes the difference
+    assert all(torch.equal(v, tiny[k]) for k, v in without.items())          # the same frames, so only the loss differs
     assert any(not torch.equal(v, whole[k]) for k, v in without.items())
     config = types.SimpleNamespace(config=types.SimpleNamespace(resolution=(48, 64)))
     with pytest.raises(ValueError, match='--turned needs scenes'):

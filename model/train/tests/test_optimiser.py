@@ -1,4 +1,4 @@
-"""Steps of equal size in all directions, and the two kinds of parameters told apart."""
+"""Steps of equal size in all directions, and the two kinds of parameters separated."""
 import torch
 
 from train import network
@@ -29,7 +29,7 @@ def test_a_stack_of_matrices_is_treated_part_by_part():
 
 
 def test_a_badly_scaled_valley_is_descended_evenly():
-    """Curvatures ten to one apart. In steps of the gradient's own direction, as long, the faint rows would be left behind."""
+    """Curvatures differ by a factor of ten. Steps of the same length along the gradient would leave the faint rows behind."""
     torch.manual_seed(2)
     scale, target, left = torch.logspace(0, -0.5, 8), torch.randn(8, 8), []
     for plain in (False, True):

@@ -1,4 +1,4 @@
-"""The images training minimises are those the program draws: the rasteriser here beside `streamsplat splat`."""
+"""Training minimises images like those of the program: this rasteriser against `streamsplat splat`."""
 import math
 import os
 import pathlib
@@ -51,7 +51,7 @@ def test_images_are_those_of_the_program(ties, tmp_path):
 def test_views_from_the_side_are_those_of_the_program(tmp_path):
     H, W = 40, 72
     xyz, scale, opacity, rgb, background = gaussians(1500)
-    xyz[:, 1] = 0.3 + 0.4 * xyz[:, 1]                    # all before the camera from there too
+    xyz[:, 1] = 0.3 + 0.4 * xyz[:, 1]                    # all in front of the turned camera too
     want = drawn_by_the_program(tmp_path, xyz, scale, opacity, rgb, background, H, W, 10.0, 0.2)
     image, T = render_turned(xyz[None], scale[None], opacity[None], rgb[None], H, W, background[None], 10.0, torch.tensor([0.2]))
     assert float((image[0, :3] - want['rgb']).abs().max()) < 5e-4

@@ -45,7 +45,7 @@ def test_a_stack_that_ends_pixels_ends_them_alike():
     values, key = torch.rand(M, N, 4, generator=torch.Generator().manual_seed(3)), torch.arange(N).float()[None]
     background = torch.full((M, 4), 0.5)
     (a, aT, aP, aV), (b, bT, bP, bV) = both(P, values, key, background, H, W, torch.ones(M, 4, H, W))
-    assert float(aT.min()) < 1e-3                        # it does end some
+    assert float(aT.min()) < 1e-3                        # some pixels end
     assert float((a - b).abs().max()) < 1e-5 and float((aV - bV).norm() / aV.norm()) < 1e-4 and float((aP - bP).norm() / aP.norm()) < 1e-3
 
 

@@ -1,4 +1,4 @@
-"""The analytic start does what it says, and a run that stopped goes on exactly."""
+"""The analytic start works as documented, and a stopped run resumes exactly."""
 import types
 
 import numpy as np
@@ -52,7 +52,7 @@ def test_identical_frames_do_not_move(begun):
     h = net.encode(frames[[0, 0]])
     s = start.block0_stream(net, h).double()
     still = (s @ readers['motion']['nx']).abs().max() * start.UNIT
-    assert float(still) < 1.5                                     # tokens; what is left is the two streams' different gains
+    assert float(still) < 1.5                                     # tokens; the rest is due to the two streams' different gains
 
 
 @torch.no_grad()
@@ -66,7 +66,7 @@ def test_the_first_frame_fades_and_the_second_stays_behind_it_at_one_depth(begun
 
 @torch.no_grad()
 def test_differences_of_cells_are_read_off_the_embedding(begun):
-    """What the deformation token holds of the other frame: the luma of 2x2 pixels, own minus other, up to the patch's finest waves."""
+    """The deformation token's content of the other frame: the luma of 2x2 pixels, own minus other, up to the patch's finest waves."""
     net, readers, _, _ = begun
     y, x = torch.meshgrid(torch.arange(48.0), torch.arange(64.0), indexing='ij')
     wave = lambda phase: (0.5 + 0.3 * torch.sin(x / 6 + phase) * torch.cos(y / 7)).expand(3, 48, 64)
@@ -135,7 +135,7 @@ def test_depth_moves_where_it_is_trained_and_nowhere_else(begun, clips_module, t
 
 
 def test_fitting_colours_trains_the_geometry_for_pictures_of_fitted_colours(begun, clips_module, tmp_path):
-    """What is trained with the fit has better pictures with fitted colours than what is trained without it."""
+    """Training with the fit yields better pictures with fitted colours than training without it."""
     from train.rasteriser import render_fitted
     got = []
     for weight in (0.0, 1.0):
@@ -197,7 +197,7 @@ def test_layering_can_be_written_into_a_trained_network(begun):
 
 
 def test_a_stage_runs_on_the_triton_kernels_and_resumes_to_the_bit(begun, clips_module, tmp_path):
-    """By the interpreter where there is no GPU: one small crop."""
+    """Uses the interpreter where there is no GPU: one small crop."""
     net, _, _, _ = begun
     first = {k: v.clone() for k, v in net.state_dict().items()}
     more = dict(rasteriser='triton', mixed=True, steps=2, crop=(3, 3))

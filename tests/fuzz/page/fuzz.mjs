@@ -1,12 +1,12 @@
-// fuzz.mjs INPUTS READER…; from the repository's root. The readers run in a thread of their own, which is watched from here: one that does not
-// come back, or takes too much memory, is a finding, as is an error that no reader has.
+// fuzz.mjs INPUTS READER…; from the repository's root. The readers run in a watched thread. A reader that does not return, or takes too much memory, is a
+// finding, and so is an error of no reader's own kind.
 
 import { isMainThread, parentPort, Worker, workerData } from "node:worker_threads";
 import { fileURLToPath } from "node:url";
 import { prepared, readers } from "./readers.mjs";
 import { mutated, random } from "./mutate.mjs";
 
-/** Seconds in which every input is read, and bytes of the whole process. */
+/** Limits: seconds for every input, and bytes of the whole process. */
 const [LONGEST, MOST] = [20, 1.5 * 2 ** 30];
 
 if (isMainThread) {
@@ -22,7 +22,7 @@ if (isMainThread) {
   await fuzz(workerData);
 }
 
-/** Runs a reader's inputs in a thread, and ends with what it found. */
+/** Runs a reader's inputs in a thread, and ends with its finding. */
 function watched(name, inputs) {
   const began = performance.now();
   const progress = new Float64Array(new SharedArrayBuffer(8));
@@ -50,14 +50,14 @@ function watched(name, inputs) {
   });
 }
 
-/** Reads inputs of one reader, each a function of its number alone. */
+/** Reads inputs of one reader; each is a function of its number alone. */
 async function fuzz({ name, inputs, progress }) {
   const { seeds, read, refusal } = await prepared(name);
   let [good, refused] = [0, 0];
   for (let i = 0; i < inputs; i++) {
     progress[0] = i;
     const chance = random(i);
-    // Seeds themselves come first: they are read.
+    // The unchanged seeds come first: they must be accepted.
     const input = i < seeds.length ? seeds[i] : mutated(seeds[chance(seeds.length)], seeds, chance);
     try {
       await read(input, chance);

@@ -47,7 +47,7 @@ const CHANGES = [
     const other = seeds[chance(seeds.length)];
     return Buffer.concat([bytes.subarray(0, chance(bytes.length + 1)), other.subarray(chance(other.length + 1))]);
   },
-  // A word of the text that a file may begin with.
+  // A word of the text with which a file may begin.
   (bytes, _, chance) => {
     const text = bytes.subarray(0, 1500).toString("latin1");
     const words = [...text.matchAll(/\S+/g)];
@@ -60,7 +60,7 @@ const CHANGES = [
 /** Of the changes, those that keep the length. */
 const KEEPING = 4;
 
-/** A seed with one change or a few, of which most keep its length. */
+/** A seed with one or a few changes, most of which keep its length. */
 export function mutated(seed, seeds, chance) {
   let bytes = Buffer.from(seed);
   for (let left = 1 + chance(4); left > 0; left--) {

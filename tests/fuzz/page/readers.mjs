@@ -1,15 +1,14 @@
-// The readers of the page, as the worker has them: for each its seeds, a function that reads bytes and checks what came of them, and which of its
-// errors are refusals.
+// The readers of the page, as in its worker. Each has seeds, a function that reads bytes and checks the result, and the errors that are refusals.
 
 import { readFileSync } from "node:fs";
 import { deflateRawSync, gzipSync } from "node:zlib";
 
 const VIEW = "engine/src/view";
 const PLAYER = "engine/player/src";
-/** The most Gaussians of a file that the page is told to take. */
+/** The limit on Gaussians of a file that is passed to the page. */
 const MOST = 1 << 20;
 
-/** What the worker's scripts define, as page.rs joins them. */
+/** The definitions of the worker's scripts, joined as in page.rs. */
 function scripts() {
   const list = /const WORKER_FILES[^=]*= \[(.*?)\];/s.exec(readFileSync(`${VIEW}/page.rs`, "utf8"))[1];
   const files = [...list.matchAll(/(player|include_str)!\("(.*?)"\)/g)].filter(([, , name]) => name !== "worker.js");
@@ -18,7 +17,7 @@ function scripts() {
   return new Function(`"use strict";\n${text}\nreturn { opened, unzstd, Packet, packetIn, decode, packetOf, HEADER, RECORD };`)();
 }
 
-/** A file in memory, as the page's readers see one. */
+/** A file in memory, with the interface that the page's readers use. */
 class Bytes {
   constructor(bytes, name) {
     [this.bytes, this.name, this.size] = [bytes, name, bytes.length];
@@ -79,7 +78,7 @@ function splat(count) {
   return records;
 }
 
-/** What is in an SPZ file's gzip stream. */
+/** The content of an SPZ file's gzip stream. */
 function spz(version, count, degree) {
   const head = Buffer.alloc(16);
   head.write("NGSP");
@@ -89,7 +88,7 @@ function spz(version, count, degree) {
   return Buffer.concat([head, Buffer.from(Uint8Array.from({ length: count * each }, (_, i) => (i * 73) & 255))]);
 }
 
-/** A zstd frame of one block as it is, of at most 255 bytes. */
+/** A zstd frame of one uncompressed block, of at most 255 bytes. */
 const stored = (bytes) => Buffer.concat([Buffer.from([0x28, 0xb5, 0x2f, 0xfd, 0x20, bytes.length, 1 | (bytes.length << 3), bytes.length >> 5, 0]), bytes]);
 
 /** An SPZ file of version 4. */
@@ -110,7 +109,7 @@ function spz4(count, degree) {
   return Buffer.concat([header, table, ...frames]);
 }
 
-/** Contents of three kinds, and the frames that zstd 1.5.4 makes of them: `-19`, `-1`, `-19`. */
+/** Contents of three kinds, and their frames by zstd 1.5.4: `-19`, `-1`, `-19`. */
 const CONTENT = 1500;
 function content(kind) {
   let [state, last] = [1, 100];
@@ -165,7 +164,7 @@ const whole = (bytes) => new Uint8Array(bytes).buffer;
 export function readers() {
   const { opened, unzstd, Packet, packetIn, decode, packetOf, HEADER, RECORD } = scripts();
   FRAMES.forEach((frame, kind) => check(Buffer.compare(unzstd(frame, CONTENT), content(kind)) === 0, `the content of frame ${kind}`));
-  /** One error of one line that says what was expected and found. */
+  /** One error of one line that states what was expected and found. */
   const own = (error) => error.constructor === Error && /^[^\n]+: expected [^\n]*, found [^\n]*$/.test(error.message);
   const file = (name, seeds, wrapped = (bytes) => bytes) => ({
     seeds,
@@ -179,7 +178,7 @@ export function readers() {
     },
   });
   const zipped = (bytes, chance) => {
-    // Now and then the stream itself is changed.
+    // Sometimes the stream itself is changed.
     const stream = gzipSync(bytes, { level: 1 });
     if (chance(8) === 0) stream[chance(stream.length)] ^= 1 << chance(8);
     return stream;
@@ -191,7 +190,7 @@ export function readers() {
     splat: file("a.splat", [splat(1), splat(20)]),
     spz: file("a.spz", [spz(2, 3, 0), spz(3, 3, 0), spz(3, 2, 1), spz(2, 2, 3), spz(3, 2, 4)], zipped),
     spz4: file("a.spz", [spz4(1, 0), spz4(3, 1), spz4(2, 3)]),
-    // The index alone: chunks have a reader of their own.
+    // Only the index: chunks have a reader of their own.
     ssz: {
       seeds: [container([chunk(1)], [0]), container([chunk(40), chunk(40), chunk(40)], [0, 1, 0])],
       refusal: own,
@@ -220,7 +219,7 @@ export function readers() {
         new Packet(packetOf(records, PLACE));
       },
     },
-    // Packets come from the program itself: any error will do that ends soon, and no packet may hold together only in part.
+    // Packets come from the program itself: any quick error is accepted, and no packet may be accepted in part.
     packet: {
       seeds: [],
       refusal: (error) => error.constructor === Error && /interval/.test(error.message),
@@ -236,7 +235,7 @@ export function readers() {
   };
 }
 
-/** Seeds that take a while to make. */
+/** Seeds that take some time to make. */
 export async function prepared(name) {
   const all = readers();
   if (name === "packet") {

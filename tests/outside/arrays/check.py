@@ -1,4 +1,4 @@
-"""viser and Rerun take the arrays as they are: check.py SCENE"""
+"""viser and Rerun accept the arrays unchanged: check.py SCENE"""
 
 import sys
 from pathlib import Path
@@ -10,7 +10,7 @@ from scene import scenes
 
 
 def in_viser(server, name, splats):
-    """What the page is sent is the arrays: centres to the bit, covariances as half floats, colours and opacities as bytes."""
+    """The page is sent the arrays: centres to the bit, covariances as half floats, colours and opacities as bytes."""
     handle = server.scene.add_gaussian_splats(f'/{name}', splats.means, splats.covariances, np.clip(splats.colors, 0, 1), splats.opacities[:, None])
     buffer = np.ascontiguousarray(handle.buffer)
     assert np.array_equal(buffer[:, :3].view(np.float32), splats.means)

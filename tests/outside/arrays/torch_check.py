@@ -1,4 +1,4 @@
-"""PyTorch and gsplat's formulas take the arrays: torch_check.py SCENE GSPLAT"""
+"""PyTorch and gsplat's formulas accept the arrays: torch_check.py SCENE GSPLAT"""
 
 import importlib.util
 import sys
@@ -28,9 +28,9 @@ def shared(splats):
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter('always')
         assert torch.from_numpy(splats.means).data_ptr() == splats.means.ctypes.data
-    # torch has no read-only tensors, and warns of it once in a process.
+    # torch has no read-only tensors, and warns once per process.
     shared.warnings += [str(warning.message) for warning in warned]
-    # Tensors go in; torch's message on those that NumPy cannot read comes out, with the argument's name.
+    # Tensors are accepted; for those that NumPy cannot read the error is torch's message with the argument's name.
     again = streamsplat_cpu.Splats(*(torch.from_dlpack(x) for x in (splats.means, splats.scales, splats.opacities)),
                                    quats=torch.from_dlpack(splats.quats), sh=torch.from_dlpack(splats.sh))
     assert np.array_equal(again.sh, splats.sh) and np.array_equal(again.means, splats.means)

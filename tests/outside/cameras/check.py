@@ -1,4 +1,4 @@
-"""check.py STREAMSPLAT: models that pycolmap writes, drawn through this program's reader and through pycolmap's own poses."""
+"""check.py STREAMSPLAT: models written by pycolmap, drawn through this program's reader and by pycolmap's own poses."""
 
 import json
 import pathlib
@@ -43,14 +43,14 @@ def cloud(path: pathlib.Path) -> None:
 
 
 def rigid(around: float, far: float) -> pycolmap.Rigid3d:
-    """A turn about an axis near y, and a way along z."""
+    """A rotation about an axis near y, and a translation along z."""
     axis = np.array([0.1, 1.0, 0.2]) / np.linalg.norm([0.1, 1.0, 0.2])
     x, y, z = axis * np.sin(around / 2)
     return pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([x, y, z, np.cos(around / 2)])), np.array([0.1, -0.2, far]))
 
 
 def model(folder: pathlib.Path) -> pycolmap.Reconstruction:
-    """A rig of two cameras at three moments, by COLMAP's own text, read by pycolmap."""
+    """A rig of two cameras at three times, in COLMAP's text form, read by pycolmap."""
     folder.mkdir()
     quaternion = lambda pose: " ".join(repr(float(c)) for c in [pose.rotation.quat[3], *pose.rotation.quat[:3], *pose.translation])
     lens = f"{WIDTH} {HEIGHT} {FOCAL} {FOCAL} {WIDTH / 2} {HEIGHT / 2}"
@@ -61,7 +61,7 @@ def model(folder: pathlib.Path) -> pycolmap.Reconstruction:
         pose, first = rigid(0.5 * moment - 0.4, 5.0), 2 * moment + 1
         frames.append(f"{moment + 1} 1 {quaternion(pose)} 2 CAMERA 1 {first} CAMERA 2 {first + 1}\n")
         for camera in (1, 2):
-            # Dummy poses: those of the frames count.
+            # Dummy poses: only those of the frames count.
             images.append(f"{first + camera - 1} 1 0 0 0 7 8 9 {camera} cam{camera}/{moment}.png\n\n")
     (folder / "frames.txt").write_text("".join(frames))
     (folder / "images.txt").write_text("".join(images))
@@ -70,7 +70,7 @@ def model(folder: pathlib.Path) -> pycolmap.Reconstruction:
 
 
 def own(path: pathlib.Path, pose: pycolmap.Rigid3d) -> None:
-    """A camera of this program with the pose that pycolmap tells."""
+    """Writes a camera of this program with pycolmap's pose."""
     matrix = np.eye(4)
     matrix[:3, :] = pose.inverse().matrix()
     focal = [FOCAL / WIDTH, FOCAL / HEIGHT]
@@ -78,7 +78,7 @@ def own(path: pathlib.Path, pose: pycolmap.Rigid3d) -> None:
 
 
 def spoilt(source: pathlib.Path, target: pathlib.Path) -> None:
-    """The binary model with other poses in its images."""
+    """Writes the binary model with other poses in its images."""
     target.mkdir()
     for file in source.iterdir():
         (target / file.name).write_bytes(file.read_bytes())

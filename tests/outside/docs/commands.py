@@ -1,9 +1,10 @@
-"""Runs the commands that README.md and docs/*.md show: commands.py ROOT PROGRAM PYTHON TORCH
+"""Runs the commands in README.md and docs/*.md: commands.py ROOT PROGRAM PYTHON TORCH
 
-A command is a line of an indented block of the README or of a ```sh block of a page. They run in order, page by page, in a scratch folder in which the names
-they use exist: `clip.mp4`, `clip.y4m`, `FOLDER` of images, `CLIPS` of clips, a small model as `streamsplat.safetensors` with its `dinov2_vitb14_reg4_pretrain.pth`, a depth network as `NETWORK.onnx`,
-somebody's scene as `garden.ply`, and links to the repository's folders. A command that serves a page (SERVES) is stopped as a user stops it. What a command cannot mean here is replaced (REPLACED); what another part of the tests runs is named with that part (ELSEWHERE). A command that is in
-neither table and fails, and an entry of a table that no page uses, are errors.
+A command is a line of an indented block of the README or of a ```sh block of a page. They run in order, page by page, in a scratch folder that contains the
+names they use: `clip.mp4`, `clip.y4m`, `FOLDER` of images, `CLIPS` of clips, a small model as `streamsplat.safetensors` with its
+`dinov2_vitb14_reg4_pretrain.pth`, a depth network as `NETWORK.onnx`, a foreign scene as `garden.ply`, and links to the repository's folders. A command that
+serves a page (SERVES) is stopped as a user stops it. Text that is not possible here is replaced (REPLACED); commands that another part of the tests runs are
+listed with that part (ELSEWHERE). A command that is in neither table and fails, and an entry of a table that no page uses, are errors.
 
 Of docs/recipes.md everything runs, in its order: each line of its ```sh blocks, and each ```python block as a program, in the environment
 PYTHON with viser and Rerun, in TORCH where it imports torch. A recipe without either is an error.
@@ -28,14 +29,14 @@ REPLACED = {
     "python3 examples/ray_long.py": "$WITH_PACKAGE examples/ray_long.py",
     "large.py streamsplat other-build/streamsplat": "large.py streamsplat streamsplat --scene large.ply --rounds 1",
 }
-# Beginnings of commands → what runs them.
+# Beginnings of commands → the tests that run them.
 ELSEWHERE = {
     "tests/run": "it is what runs this",
     "tests/emulated/run.sh": ".ci/run",
     "streamsplat golden": "tests/outside/golden/run",
     "streamsplat compare": "engine/cli/tests/program/compare.rs",
 }
-# Commands that go on until they are stopped.
+# Commands that run until they are stopped.
 SERVES = re.compile(r"streamsplat (view (?!.*--html)|run .*--serve)")
 
 
@@ -46,7 +47,7 @@ def commands_of(page: Path) -> list[str]:
     outside = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
     indented = re.findall(r"(?:^(?: {4}\S.*)\n)+", outside, re.MULTILINE)
     lines = "\n".join([*indented, *fenced]).replace("\\\n", " ").splitlines()
-    # Blocks of other kinds (formulas, listings) hold no line that begins with a program's name.
+    # Blocks of other kinds (formulas, listings) have no line that begins with a program's name.
     programs = r"(cargo|streamsplat|streamsplat-bench|tests/\S+|ffmpeg|python3?|pip|bench/\S+)\b"
     commands = [re.sub(r"\s+# .*", "", line.strip()) for line in lines]
     return [command for command in commands if re.match(programs, command)]
@@ -66,7 +67,7 @@ def steps_of(page: Path) -> list[tuple[str, str]]:
 
 
 def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
-    """Fills the scratch folder; gives the environment in which commands run."""
+    """Fills the scratch folder; returns the environment in which commands run."""
     for name in ("fixtures", "bench", "tests", "examples", "docs", "engine"):
         (scratch / name).symlink_to(root / name)
     clip = root / "fixtures/clips/moving.y4m"
@@ -78,7 +79,7 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
         subprocess.run([*ffmpeg, scratch / folder / "%06d.png"], check=True)
     for kind in ("safetensors", "json"):
         shutil.copy(root / f"fixtures/parity/tiny-dino.{kind}", scratch / f"streamsplat.{kind}")
-        # What a file is follows from what it holds, not from its name.
+        # The kind of a file follows from its content, not from its name.
         shutil.copy(root / f"fixtures/parity/dino-tiny.{kind}", scratch / f"dinov2_vitb14_reg4_pretrain.{kind.replace('safetensors', 'pth')}")
     shutil.copy(root / "fixtures/depth/depth.onnx", scratch / "NETWORK.onnx")
     camera = {"type": "pinhole", "position": [0, 0, -1], "fov_y_degrees": 60, "aspect": 16 / 9}
@@ -87,14 +88,14 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
         subprocess.run([program, "run", scratch / "FOLDER", "--frames", "2", "--out", folder, "--quiet"], check=True)
         subprocess.run([program, "export", folder, "--format", "ply", "--times", "0", "--out", scratch / "garden.ply"], check=True,
                        stdout=subprocess.DEVNULL)
-    # Somebody's scene has no camera of ours.
+    # The foreign scene has none of our cameras.
     (scratch / "garden.ply.camera.json").unlink()
     cameras_of_others(scratch, root)
     tools = scratch / ".tools"
     tools.mkdir()
     (tools / "streamsplat").symlink_to(program)
     (tools / "streamsplat-bench").symlink_to(program.with_name("streamsplat-bench"))
-    # `cargo run -- …` runs the program that has just been built, here; every other cargo command runs in the repository.
+    # `cargo run -- …` runs the built program here; every other cargo command runs in the repository.
     cargo = shutil.which("cargo")
     shim = f'#!/bin/sh\nif [ "$1 $2 $3" = "run --release --" ]; then shift 3; exec {program} "$@"; fi\ncd {root} && exec {cargo} "$@"\n'
     (tools / "cargo").write_text(shim)
@@ -103,7 +104,7 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
 
 
 def cameras_of_others(scratch: Path, root: Path) -> None:
-    """Camera files of other programs, and scenes by the names that these give them."""
+    """Writes camera files of other programs, and scenes under those programs' names."""
     for name in ("point_cloud.ply", "splat.ply"):
         shutil.copy(scratch / "garden.ply", scratch / name)
     shutil.copy(root / "examples/golden/cameras.json", scratch)
@@ -127,7 +128,7 @@ def cameras_of_others(scratch: Path, root: Path) -> None:
 
 
 def serve(command: str, scratch: Path, environment: dict[str, str]) -> str | None:
-    """Starts a command that serves a page, looks at the page, stops it with Ctrl-C once its results are there; gives what went wrong."""
+    """Starts a command that serves a page, reads the page and stops the command with Ctrl-C once its results exist; returns the error, if any."""
     words = command.split()
     server = subprocess.Popen(words, cwd=scratch, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     address, said = None, []
@@ -145,14 +146,14 @@ def serve(command: str, scratch: Path, environment: dict[str, str]) -> str | Non
 
 
 def run(command: str, scratch: Path, environment: dict[str, str]) -> str | None:
-    """Runs a command to its end; gives what went wrong."""
+    """Runs a command to its end; returns the error, if any."""
     result = subprocess.run(["bash", "-ec", f"set -o pipefail; {command}"], cwd=scratch, env=environment,
                             stdin=subprocess.DEVNULL, capture_output=True, text=True)
     return f"exit code {result.returncode}: {result.stderr.strip()[-600:]}" if result.returncode else None
 
 
 def recipes(page: Path, scratch: Path, environment: dict[str, str], pythons: list[str], used: set[str]) -> tuple[int, int]:
-    """Runs all steps of a page of recipes; how many ran and how many failed."""
+    """Runs all steps of a page of recipes; returns how many ran and how many failed."""
     ran = failed = 0
     for kind, text in steps_of(page):
         for part, instead in REPLACED.items():

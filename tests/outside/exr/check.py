@@ -1,4 +1,4 @@
-"""What tests/outside/exr/run checks: check.py PROGRAM."""
+"""Checks of tests/outside/exr/run: check.py PROGRAM."""
 import subprocess
 import sys
 import tempfile
@@ -18,7 +18,7 @@ def program(*arguments):
 
 
 def layers(path):
-    """Name → (header, channels) of every part, samples as they are stored."""
+    """Name → (header, channels) of every part, samples as stored."""
     with OpenEXR.File(str(path), separate_channels=True) as file:
         return {part.header['name']: (dict(part.header), {name: channel.pixels.copy() for name, channel in part.channels.items()})
                 for part in file.parts}
@@ -46,7 +46,7 @@ def main():
             assert (single.channels['Z'].pixels.view(np.uint32) == found['depth'][1]['Z'].view(np.uint32)).all(), name
             assert (single.channels['A'].pixels.view(np.uint32) == found['alpha'][1]['A'].view(np.uint32)).all(), name
             assert rgb.std() > 0.01 and found['depth'][1]['Z'].std() > 0.001, 'the image is flat'
-        # Over black the colours are multiplied by alpha: they and the background's share make up the others.
+        # Over black the colours are multiplied by alpha: with the background's share they yield the others.
         program('render', out, '--emit', 'exr', '--background', '0', '--quiet', '--out', black)
         over, under = layers(out / 'exr' / '000003.exr'), layers(black / 'exr' / '000003.exr')
         alpha = over['alpha'][1]['A']

@@ -1,7 +1,7 @@
 """progress.py SECONDS PROGRAM ARGUMENT…: runs the program on a terminal and checks its progress bar.
 
-The bar shows percentage, total and time left, and is written anew at least once a second; a busy machine gets three. The run must take at
-least SECONDS, so that a bar that is not written anew while the program waits cannot pass.
+The bar shows percentage, total and time left, and is rewritten at least once a second; a busy machine gets three. The run must take at least SECONDS, so that a
+bar that is not rewritten while the program waits cannot pass.
 """
 import os
 import pty

@@ -1,6 +1,6 @@
-"""reading.py STREAMSPLAT FFMPEG9 MODEL: videos of many kinds give the right frames, times and colours, whichever ffmpeg reads them.
+"""reading.py STREAMSPLAT FFMPEG9 MODEL: videos of many kinds yield the right frames, times and colours with every ffmpeg.
 
-The files are made by Debian's ffmpeg. Each is read by that and by the one of PyPI's imageio-ffmpeg, each with ffprobe on the path and without.
+Debian's ffmpeg makes the files. Each is read by that ffmpeg and by the one of PyPI's imageio-ffmpeg, with and without ffprobe on the path.
 """
 import concurrent.futures
 import json
@@ -13,12 +13,12 @@ import tempfile
 STREAMSPLAT, NINE, MODEL = sys.argv[1:4]
 WORK = tempfile.mkdtemp()
 RED = (200, 40, 40)
-SMALL, LARGE = '64x48', '1056x48'  # what is not tagged is BT.601 up to 1024 columns
+SMALL, LARGE = '64x48', '1056x48'  # untagged files are BT.601 up to 1024 columns
 FAILED = []
 
 
 def programs():
-    """Folders for the path: each ffmpeg with ffprobe and without."""
+    """Folders for the path: each ffmpeg with and without ffprobe."""
     found = {}
     for name, ffmpeg, probe in [('debian', shutil.which('ffmpeg'), True), ('debian alone', shutil.which('ffmpeg'), False),
                                 ('pypi', NINE, True), ('pypi alone', NINE, False)]:
@@ -48,7 +48,7 @@ def path(name):
 
 
 def make(name, *arguments):
-    """A file made by Debian's ffmpeg."""
+    """Makes a file with Debian's ffmpeg."""
     subprocess.run(['ffmpeg', '-v', 'error', '-y', *arguments, path(name)], check=True)
     return name
 
@@ -66,7 +66,7 @@ def moving(size=SMALL, frames=12, rate=25):
 
 
 def flat(size, colour, frames=3):
-    """y4m of 16 bits that is that colour: what others are compared with."""
+    """y4m of 16 bits in that colour: the reference for others."""
     width, height = map(int, size.split('x'))
     red, green, blue = (value / 255 for value in colour)
     y = 0.299 * red + 0.587 * green + 0.114 * blue
@@ -77,7 +77,7 @@ def flat(size, colour, frames=3):
     frame = b'FRAME\n' + b''.join(round(value).to_bytes(2, 'little') * (width * height) for value in planes)
     name = f'flat-{size}-{colour[0]}-{colour[1]}-{colour[2]}.y4m'
     if not os.path.exists(path(name)):
-        # Several cases make the same file at once; it has its name when it is whole.
+        # Several cases make the same file at once; it gets its name once it is complete.
         with tempfile.NamedTemporaryFile(dir=WORK, delete=False) as file:
             file.write(f'YUV4MPEG2 W{width} H{height} F25:1 C444p16 XCOLORRANGE=FULL\n'.encode() + frame * frames)
         os.replace(file.name, path(name))
@@ -97,7 +97,7 @@ def fail(what):
 
 
 def colours(name, size, colour=RED, most=1.5, readers=('debian', 'pypi alone')):
-    """All samples of a video lie within `most` steps of a colour."""
+    """All samples of a video are within `most` steps of a colour."""
     for reader in readers:
         code, out, err = streamsplat(reader, 'compare', path(name), path(flat(size, colour)), '--max-abs', str(most))
         if code != 0:
@@ -105,7 +105,7 @@ def colours(name, size, colour=RED, most=1.5, readers=('debian', 'pypi alone')):
 
 
 def reading(name, times, saying=(), size=None, code=0, readers=READERS, extra=()):
-    """A run has frames at these times, tells these lines, and every ffmpeg gives the same. With `times` None any will do."""
+    """A run has frames at these times, prints these lines, and has the same result with every ffmpeg. With `times` None any times are accepted."""
     first = None
     for reader in readers:
         out = tempfile.mkdtemp(dir=WORK)
@@ -167,17 +167,17 @@ def colour_cases():
                         f'zscale=min=gbr:rin=pc:tin=709:pin=709:t=linear:p=709:m=gbr:npl=100,format=gbrpf32le,zscale=min=gbr:tin=linear:pin=709:t={curve}:p=2020:m=2020_ncl:npl=100:r=tv,format=yuv444p10',
                         *lossless, '-frames:v', '3')
             yield lambda name=name, size=size: colours(name, size)
-            # White of 100 cd/m² is not brighter than that.
+            # White of 100 cd/m² must not become brighter.
             name = make(f'white-{curve}-{size}.mp4', *lavfi(f'color=c=white:s={size}:r=25:d=0.12,format=gbrp'), '-vf',
                         f'format=gbrpf32le,zscale=min=gbr:rin=pc:pin=709:tin=709:npl=100:m=2020_ncl:r=tv:p=2020:t={curve},format=yuv444p10', *lossless)
             yield lambda name=name, size=size: colours(name, size, (255, 255, 255))
-        # What has no Y'CbCr in the file is exact.
+        # Files without Y'CbCr are exact.
         for name, more in [('rgb.mp4', ['-c:v', 'libx264rgb', '-qp', '0']), ('png.mov', ['-c:v', 'png', '-pix_fmt', 'rgb24']),
                            ('ffv1.mkv', ['-c:v', 'ffv1', '-pix_fmt', 'gbrp']), ('ten.mkv', ['-c:v', 'ffv1', '-pix_fmt', 'gbrp10le']),
                            ('sixteen.mkv', ['-c:v', 'ffv1', '-pix_fmt', 'gbrp16le']), ('qtrle.mov', ['-c:v', 'qtrle']),
                            ('gif.gif', ['-vf', 'split[a][b];[a]palettegen=reserve_transparent=0[p];[b][p]paletteuse=dither=none']), ('apng.apng', ['-f', 'apng', '-plays', '0'])]:
             name = make(f'{size}-{name}', *red(size), *more)
-            # ffmpeg makes more bits of eight by shifting, which is 0.8 less at most.
+            # ffmpeg extends eight bits by shifting, which is at most 0.8 less.
             most = 1 if name.endswith(('ten.mkv', 'sixteen.mkv')) else 0.01
             yield lambda name=name, size=size, most=most: colours(name, size, most=most)
         name = make(f'mjpeg-{size}.avi', *red(size), '-c:v', 'mjpeg', '-q:v', '1', '-pix_fmt', 'yuvj444p')
@@ -212,7 +212,7 @@ def time_cases():
     for name in ('uneven.mp4', 'uneven.mkv'):
         make(name, *moving(), '-vf', "select='not(eq(mod(n,3),1))'", '-fps_mode', 'passthrough', *x264)
         yield lambda name=name: reading(name, [i / 25 for i in kept])
-    # As browsers record: no default duration, milliseconds.
+    # Like recordings of browsers: no default duration, milliseconds.
     make('recorder.webm', *moving(), '-vf', "select='not(eq(mod(n,3),1))'", '-fps_mode', 'passthrough', '-c:v', 'libvpx')
     data = open(path('recorder.webm'), 'rb').read()
     at = data.index(b'\x23\xe3\x83\x84')
@@ -230,7 +230,7 @@ def time_cases():
     yield lambda: reading('negative.mkv', even(12))
     make('twice.mkv', *moving(frames=5), *x264, '-bsf:v', 'setts=ts=TS-if(eq(N\\,2)\\,40\\,0)')
     yield lambda: reading('twice.mkv', [0, 0.04, 0.041, 0.12, 0.16], ['frames whose time is not after that of the frame before: 1;'])
-    # Frames that go in another order than they are shown.
+    # Frames stored in another order than displayed.
     make('reordered.mp4', *moving(frames=12), '-c:v', 'libx264', '-bf', '3')
     yield lambda: reading('reordered.mp4', even(12))
     make('anim.gif', *moving(frames=6, rate=10))
@@ -253,7 +253,7 @@ def stream_cases():
     yield lambda: refused('song.mp3', 'found sound alone (MP3)')
     make('song.ogg', '-f', 'lavfi', '-i', 'sine=d=0.5', '-c:a', 'libvorbis')
     yield lambda: refused('song.ogg', 'found sound alone')
-    # The default goes before the larger one, which goes before the first.
+    # The default stream is preferred to the larger one, and that to the first.
     two = [*moving('96x64', 5), *moving('64x48', 5), '-map', '0', '-map', '1', *x264]
     make('second.mkv', *two, '-disposition:v:0', '0', '-disposition:v:1', 'default')
     make('programs.ts', *moving('64x48', 5), *moving('96x64', 5), '-map', '0', '-map', '1', *x264, '-program', 'program_num=1:st=0', '-program',
@@ -279,7 +279,7 @@ def shape_cases():
     yield lambda: reading('fields.y4m', None, ['the stream is interlaced'], readers=['debian'])
     make('grey.y4m', *lavfi(f'color=s={SMALL}:r=25:d=0.12,format=gray,geq=lum=64'))
     yield lambda: colours('grey.y4m', SMALL, (64, 64, 64), 0.01, ['debian'])
-    # The option goes before the size.
+    # The option overrides the size.
     make('bt709.y4m', *red(SMALL), '-vf', 'scale=out_color_matrix=bt709,format=yuv444p', '-strict', '-1')
     make('bt709.mkv', *red(SMALL), '-c:v', 'ffv1', '-vf', 'scale=out_color_matrix=bt709,format=yuv444p')
     yield lambda: matrix('bt709.y4m')
@@ -287,7 +287,7 @@ def shape_cases():
 
 
 def matrix(name):
-    """--matrix makes an untagged file what one that is tagged so is."""
+    """With --matrix an untagged file equals one tagged with that matrix."""
     digests = []
     make('tagged-' + name + '.mkv', *red(SMALL), '-c:v', 'ffv1', '-vf', 'scale=out_color_matrix=bt709,format=yuv444p', '-colorspace', 'bt709')
     for file, extra in [(name, ['--matrix', 'bt709']), ('tagged-' + name + '.mkv', [])]:
@@ -299,7 +299,7 @@ def matrix(name):
 
 
 def damage_cases():
-    """What came before is kept, and one line tells."""
+    """Frames before the damage are kept, and one line reports it."""
     source = [*moving(frames=30), '-c:v', 'libx264', '-bf', '0', '-g', '10']
     for name, more in [('whole.mp4', ['-movflags', '+faststart']), ('whole.mkv', [])]:
         make(name, *source, *more)
@@ -321,7 +321,7 @@ def damage_cases():
         at = sorted(places)[9] if name != 'between.gif' else len(data) * 9 // 10
         with open(path('cut-' + name), 'wb') as file:
             file.write(data[:at])
-        # Versions of ffmpeg decode Theora to other samples, and a part of a GIF's frame or not.
+        # Versions of ffmpeg differ in Theora's samples, and in decoding a part of a GIF's frame.
         alike = [READERS[:2], READERS[2:]] if name in ('between.ogv', 'between.gif') else [READERS]
         for readers in alike:
             yield lambda name=name, readers=readers: reading(name, None, readers=readers)

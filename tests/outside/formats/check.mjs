@@ -1,4 +1,4 @@
-// node check.mjs STREAMSPLAT FOLDER: scenes of our own making go into each format and back, through this program and through those of others:
+// node check.mjs STREAMSPLAT FOLDER: generated scenes are converted to each format and back, by this program and by others:
 // SPZ's reference implementation, and splat-transform for PLY, compressed PLY, SPZ, SOG, glTF and .splat.
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
@@ -77,7 +77,7 @@ function columns(cloud) {
   }));
 }
 
-/** The other way. */
+/** Columns of PLY as the reference's arrays. */
 function cloud(columns, degree) {
   const rest = (degree + 1) ** 2 - 1;
   const join = (keys) => Float32Array.from({ length: COUNT * keys.length }, (_, i) => columns[keys[i % keys.length]][Math.floor(i / keys.length)]);
@@ -90,7 +90,7 @@ function cloud(columns, degree) {
   };
 }
 
-/** Opacities, and rotations of length 1: what can be compared. */
+/** Opacities, and rotations of length 1, which can be compared. */
 function comparable(columns) {
   const out = { ...columns, opacity: columns.opacity.map((x) => 1 / (1 + Math.exp(-x))) };
   const keys = ['rot_0', 'rot_1', 'rot_2', 'rot_3'];
@@ -126,9 +126,9 @@ const format = (version) => (name) => 1.01 * (
   // Rounded twice, to a byte and to a bucket of 16.
   : name.startsWith('f_rest') ? 1 / 16 + 0.5 / 128
   : name.startsWith('scale') ? 0.5 / 16
-  // The largest component follows from the others: its error is theirs, and more where they are large. Opacities of 0 and 1 are brought in by a step.
+  // The largest component follows from the others: its error is theirs, and more where they are large. Opacities of 0 and 1 are moved in by a step.
   : name.startsWith('rot') ? (version === 2 ? 0.12 : 0.005) : 1 / 255);
-// In version 2 the reference takes w from the rest in binary32: near 0 little of it is left.
+// In version 2 the reference computes w from the others in binary32, which is inaccurate near 0.
 const same = (version) => (name) => (version === 2 && name.startsWith('rot') ? 5e-4 : 2e-6);
 const rdf = { to: spz.CoordinateSystem.RDF };
 
@@ -138,7 +138,7 @@ for (const degree of [0, 1, 2, 3]) {
   run('export', file('scene.ply'), '--format', 'ply', '--out', file('again.ply'));
   assert(readFileSync(file('again.ply')).equals(readFileSync(file('scene.ply'))), 'PLY to PLY');
 
-  // What we write, the reference reads.
+  // The reference reads our files.
   run('export', file('scene.ply'), '--format', 'spz', '--spz-version', '4', '--out', file('ours.spz'));
   const read = columns(spz.loadSpzFromBuffer(readFileSync(file('ours.spz')), rdf));
   compare(`ours at degree ${degree}`, read, original, format(4));
@@ -148,11 +148,11 @@ for (const degree of [0, 1, 2, 3]) {
   compare(`version 3 of ours at degree ${degree}`, raw, original, format(3));
   run('export', file('viewers.spz'), '--format', 'ply', '--out', file('again.ply'));
   compare(`version 3 of ours at degree ${degree}, by us`, readPly(file('again.ply')), original, format(3));
-  // And we read it as the reference does.
+  // We read them as the reference does.
   run('export', file('ours.spz'), '--format', 'ply', '--out', file('ours.ply'));
   compare(`ours at degree ${degree}, by both`, readPly(file('ours.ply')), read, same(4));
 
-  // What the reference writes, we read as it does.
+  // We read the reference's files as it does.
   const theirs = [];
   for (const version of [4, 3, 2]) {
     const options = { version, from: spz.CoordinateSystem.RDF, sh1Bits: 5, shRestBits: 4 };
@@ -163,13 +163,13 @@ for (const degree of [0, 1, 2, 3]) {
     const expected = columns(spz.loadSpzFromBuffer(bytes, rdf));
     compare(`version ${version} at degree ${degree}`, readPly(file('theirs.ply')), expected, same(version));
     compare(`version ${version} at degree ${degree}, of the original`, readPly(file('theirs.ply')), original, format(version));
-    // Where both round, they round alike but for halves.
+    // Both round alike, except at halves.
     if (version === 4) {
       // Opposite quaternions are the same rotation.
       const turns = ['rot_0', 'rot_1', 'rot_2', 'rot_3'];
       const sign = Array.from({ length: COUNT }, (_, i) => (turns.reduce((sum, key) => sum + read[key][i] * expected[key][i], 0) < 0 ? -1 : 1));
       const value = (name, i) => (turns.includes(name) ? sign[i] : 1) * read[name][i];
-      // Harmonics that change their sign when the reference turns them round halves of a bucket the other way.
+      // Harmonics that change their sign when the reference rotates them round halves of a bucket the other way.
       const same = Object.keys(read).filter((name) => !name.startsWith('f_rest'));
       const differ = same.map((name) => read[name].filter((_, i) => Math.abs(value(name, i) - expected[name][i]) > 1e-5).length);
       assert(Math.max(...differ) <= COUNT / 500, `degree ${degree}: ${differ} values rounded otherwise`);
@@ -219,7 +219,7 @@ for (const degree of [0, 3]) {
       run('export', path, '--format', 'ply', '--out', file('read.ply'));
       return without(readPly(file('read.ply')));
     };
-    // What we write, they read as we do; and it is what went in.
+    // They read our files as we do, and the result equals the input.
     run('export', file('scene.ply'), '--out', file(`ours.${ending}`));
     const ours = read(file(`ours.${ending}`));
     if (ending !== 'glb') {
@@ -230,7 +230,7 @@ for (const degree of [0, 3]) {
     const coefficients = (columns) => (ending === 'sog' ? low(columns) : columns);
     compare(`${ending}: ours at degree ${degree}`, inOrder(ours, whole), coefficients(whole), step);
     if (ending === 'splat') { console.log(`splat at degree ${degree}: ours ${sizes[0]} bytes`); continue; }
-    // What they write, we read as they do.
+    // We read their files as they do.
     convert(file('scene.ply'), file(`theirs.${ending}`));
     const theirs = read(file(`theirs.${ending}`));
     if (ending !== 'glb') {
@@ -240,7 +240,7 @@ for (const degree of [0, 3]) {
     compare(`${ending}: theirs at degree ${degree}`, inOrder(theirs, whole), coefficients(whole), step);
     sizes.push(readFileSync(file(`theirs.${ending}`)).length);
     if (ending === 'sog' && degree > 0) {
-      // 3,000 rows of 45 have no shape that shared rows could use: ours, found without a graphics card, lose at most a quarter more.
+      // 3,000 rows of 45 random coefficients have no structure that shared rows could use: ours, found without a graphics card, lose at most a quarter more.
       const error = (columns) => {
         const found = inOrder(columns, whole);
         const names = Object.keys(whole).filter((name) => name.startsWith('f_rest'));
@@ -258,7 +258,7 @@ for (const degree of [0, 3]) {
   }
 }
 
-// SPZ of splat-transform: PLY's numbers as they are, in files that do not state their axes. It reads ours so, of either version.
+// SPZ of splat-transform: PLY's numbers unchanged, in files that do not state their axes. It reads ours that way, of either version.
 {
   const original = without(scene(3));
   writePly(file('scene.ply'), scene(3));

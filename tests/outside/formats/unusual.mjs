@@ -1,5 +1,5 @@
 // node unusual.mjs STREAMSPLAT FOLDER: unusual scenes through every format that splat-transform shares with this program, in both directions. One of the two
-// writes the file, the other reads it, and the picture of what was read is compared with the picture of the scene itself, both drawn by this program.
+// writes the file, the other reads it. The picture of the result is compared with the picture of the scene itself, both drawn by this program.
 import assert from 'node:assert/strict';
 import { spawnSync } from 'node:child_process';
 import { rmSync, writeFileSync } from 'node:fs';
@@ -10,7 +10,7 @@ const [streamsplat, folder] = process.argv.slice(2);
 const file = (name) => `${folder}/${name}`;
 const transform = `${dirname(dirname(createRequire(import.meta.url).resolve('@playcanvas/splat-transform')))}/bin/cli.mjs`;
 
-/** Runs a program: whether it succeeds, and its standard error. */
+/** Runs a program; returns whether it succeeds, and its standard error. */
 function ran(program, ...words) {
   const { status, stderr } = spawnSync(program, words, { encoding: 'utf8' });
   return { done: status === 0, said: stderr.trim() };
@@ -61,7 +61,7 @@ const CASES = {
   none: { rows: [], names: NAMES },
   ...Object.fromEntries([0, 1, 2, 3, 4].map((degree) => [`degree ${degree}`, { rows: scene(400, degree) }])),
 };
-/** Ending and options of each format, and the decibels that a picture keeps at least, of files by us and by them; null: not read or not written there. */
+/** Ending and options of each format, and the least PSNR in decibels of a picture, of files by us and by them; null: not read or not written there. */
 const FORMATS = {
   PLY: { ending: 'ply', to: 99, from: 99 },
   'compressed PLY': { ending: 'compressed.ply', to: 48, from: 48 },
@@ -73,8 +73,8 @@ const FORMATS = {
   splat: { ending: 'splat', to: 29, from: 29 },
 };
 /**
- * What becomes of a case in a format otherwise: other decibels, what a line of ours says, and where the picture of what they read is taken from: in files
- * without a place for an offset the scene lies at 0 for all but this program.
+ * Exceptions of a case in a format: other decibels, the text of a line of ours, and the origin of the picture of their result. In files without a field for an
+ * offset the scene is at 0 for all programs except this one.
  */
 const away = { from: null, origin: [0, 0, 0], says: /coordinates are relative to \(431250, 5411800, 312\)/ };
 const EXCEPTIONS = {
@@ -83,7 +83,7 @@ const EXCEPTIONS = {
     'SPZ 3': { says: /1 of 400 Gaussians moved/ },
     'SPZ 4': { says: /1 of 400 Gaussians moved/ },
   },
-  // splat-transform takes places as binary32.
+  // splat-transform reads positions as binary32.
   offset: { PLY: { to: null, from: null }, 'compressed PLY': away, 'SPZ 3': away, 'SPZ 4': away, SOG: away, glTF: { from: null }, splat: away },
   'anti-aliased': { glTF: { from: 40, says: /no mark for scenes trained with anti-aliasing/ }, splat: { says: /no mark for scenes trained with anti-aliasing/ } },
   // splat-transform writes no file of no Gaussians, and reads no PLY file of degree 4.
@@ -91,7 +91,7 @@ const EXCEPTIONS = {
   'degree 4': Object.fromEntries(Object.keys(FORMATS).map((format) => [format, { from: null, says: /harmonics of degree 4 read to degree 3/, ...(format === 'glTF' && { to: null }) }])),
 };
 
-/** Draws a file from a place of the scene's own coordinates. */
+/** Draws a file from a position in the scene's own coordinates. */
 function drawn(path, picture, origin = [0, 0, 0], more = []) {
   const at = (place) => place.map((x, axis) => x + origin[axis]);
   writeFileSync(file('camera.json'), JSON.stringify({ type: 'pinhole', position: at([0.3, -0.4, -3.5]), look_at: at([0, 0, 0.2]), fov_y_degrees: 45, aspect: 4 / 3 }));

@@ -1,4 +1,4 @@
-"""What tests/outside/images/run checks: check.py PROGRAM."""
+"""Checks of tests/outside/images/run: check.py PROGRAM."""
 import json
 import subprocess
 import sys
@@ -32,7 +32,7 @@ class Checks:
         self.folder, self.count = Path(folder), 0
 
     def read(self, source, *more):
-        """Digest of all samples and times of an input, and what was said."""
+        """Digest of all samples and times of an input, and the messages."""
         out = self.folder / 'out'
         done = attempt(source, out, *more)
         assert done.returncode == 0, (source, done.stderr)
@@ -45,14 +45,14 @@ class Checks:
         return self.read(path)[0]
 
     def equal(self, name, rgb, said=''):
-        """The file holds this picture; what is said of it has these words."""
+        """The file holds this picture; the messages about it contain these words."""
         digest, text = self.read(self.folder / name)
         assert digest == self.samples(rgb), f'{name}: other samples than were written'
         assert said in text, f'{name}: expected {said!r}, found {text!r}'
         self.count += 1
 
     def compared(self, name, other):
-        """Two files of the same samples."""
+        """Two files have the same samples."""
         done = subprocess.run([PROGRAM, 'compare', self.folder / name, self.folder / other], capture_output=True, text=True)
         assert done.returncode == 0 and 'equal' in done.stdout, f'{name} and {other}: {done.stdout} {done.stderr}'
 
@@ -140,7 +140,7 @@ def png_and_webp(check):
     check.equal('lab.png', RGB, 'is not applied: colours are taken as sRGB')
     pictures = [np.roll(RGB, 3 * i, 1) for i in range(4)]
     first, *rest = map(Image.fromarray, pictures)
-    # Key frames alone in WebP: where its frames are laid over each other the decoder is off by up to 1/255.
+    # Only key frames in WebP: where frames are laid over each other the decoder is off by up to 1/255.
     for ending in ['png', 'apng', 'webp']:
         path = check.folder / f'even.{ending}'
         first.save(path, 'WEBP' if ending == 'webp' else 'PNG', save_all=True, append_images=rest, duration=125, lossless=True, kmin=0, kmax=1)
@@ -211,7 +211,7 @@ def exr(check):
     for name in ['ZSTD', 'HTJ2K256']:
         write(f'{name}.exr', half, compression=getattr(OpenEXR, f'{name}_COMPRESSION'))
         check.refused(f'{name}.exr', 'oiiotool IN --compression zip -o OUT')
-    # What OpenImageIO writes for these names, in tiles and in a window of its own.
+    # Files of OpenImageIO for these names, in tiles and in a window of its own.
     for space, same in [('sRGB', True), ('lin_srgb', False), ('ACEScg', False), ('lin_rec2020_scene', False)]:
         spec = oiio.ImageSpec(W, H, 3, oiio.FLOAT)
         spec.attribute('oiio:ColorSpace', space)

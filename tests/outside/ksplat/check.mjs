@@ -1,5 +1,5 @@
-// node check.mjs STREAMSPLAT FOLDER: GaussianSplats3D packs scenes of our own making into .ksplat at every level and degree, and unpacks them; this program must
-// read the same numbers.
+// node check.mjs STREAMSPLAT FOLDER: GaussianSplats3D packs generated scenes into .ksplat at every level and degree, and unpacks them; this program must read
+// the same numbers.
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
 import { readFileSync, writeFileSync } from 'node:fs';
@@ -19,7 +19,7 @@ const names = (degree) => [
   ...'opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3'.split(' '),
 ];
 
-/** A PLY file with numbers from a generator of its own: some clusters, so that there are full buckets and others. */
+/** A PLY file with numbers from a generator of its own: with clusters, so that some buckets are full and others not. */
 function scene(path, degree) {
   let state = 4711 + degree;
   const next = () => {
@@ -66,7 +66,7 @@ for (let degree = 0; degree <= 2; degree++) {
     assert.equal(count, COUNT);
     const rest = (degree + 1) ** 2 - 1;
     const harmonics = new Float32Array(count * 3 * rest);
-    // Bytes are left as they are: its shader makes numbers of them, between the least and the greatest.
+    // Bytes stay unchanged: its shader converts them to numbers between the least and the greatest.
     if (rest > 0) packed.fillSphericalHarmonicsArray(harmonics, degree, undefined, undefined, undefined, undefined, 0);
     const [least, greatest] = [packed.minSphericalHarmonicsCoeff, packed.maxSphericalHarmonicsCoeff];
     if (level === 2) harmonics.forEach((byte, i) => { harmonics[i] = least + (byte / 255) * (greatest - least); });
@@ -86,7 +86,7 @@ for (let degree = 0; degree <= 2; degree++) {
       ['w', 'x', 'y', 'z'].forEach((axis, k) => near(own(`rot_${k}`, i), turn[axis], `rotation ${i}`));
       ['x', 'y', 'z'].forEach((axis, k) => near(255 * (0.5 + Y0 * own(`f_dc_${k}`, i)), colour[axis], `colour ${i}`, 1e-4));
       near(255 / (1 + Math.exp(-own('opacity', i))), colour.w, `opacity ${i}`, 1e-4);
-      // Both by coefficient, then channel; ours in the columns of PLY by channel.
+      // Both are by coefficient, then channel; ours are in the columns of PLY by channel.
       for (let k = 0; k < rest; k++) {
         for (let channel = 0; channel < 3; channel++) {
           near(own(`f_rest_${channel * rest + k}`, i), harmonics[i * 3 * rest + 3 * k + channel], `harmonic ${k} of ${i}`);

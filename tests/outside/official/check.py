@@ -1,10 +1,10 @@
-"""The authors' own modules beside this program, on seeded weights.
+"""The authors' own modules against this program, on seeded weights.
 
 usage: check.py STREAMSPLAT SOURCE WORK CLIP [--paper] [--flip]
 
-STREAMSPLAT is the program, SOURCE the unpacked source of `streamsplat` 0.1.4 from PyPI, WORK a folder for files, CLIP a small video. Every file of weights is written
-by the library whose format it is: torch.save, safetensors, timm and transformers. --paper compares the network's tensors at the paper's size, and nothing else.
---flip flips a bit of one weight in the files of the network that the program reads: every comparison of the network must fail then.
+STREAMSPLAT is the program, SOURCE the unpacked source of `streamsplat` 0.1.4 from PyPI, WORK a folder for files, CLIP a small video. Every file of weights is
+written by the library of its format: torch.save, safetensors, timm and transformers. --paper compares the network's tensors at the paper's size, and nothing
+else. --flip flips a bit of one weight in the network's files that the program reads: then every comparison of the network must fail.
 """
 
 import io
@@ -32,7 +32,7 @@ torch.set_num_threads(2)
 BAR = 3e-6  # relative error of a tensor, in the Euclidean norm
 
 class Absent(types.ModuleType):
-    """A package of which nothing takes part in what is compared; whatever is called of it is an empty module."""
+    """A package that does not affect the comparison; every call of it returns an empty module."""
 
     def __getattr__(self, name):
         if name.startswith('__'):
@@ -40,7 +40,7 @@ class Absent(types.ModuleType):
         return lambda *_, **__: torch.nn.Module()
 
 
-# Imported by their files: viewers, plots, measures of training.
+# Packages that their files import: viewers, plots, measures of training.
 for name in ('kiui', 'kiui.op', 'kiui.lpips', 'lpips', 'wandb', 'pdb', 'matplotlib', 'matplotlib.pyplot', 'seaborn', 'torchmetrics', 'torchmetrics.image', 'utils.metrics',
              'diff_gaussian_rasterization_kiui_orth'):
     sys.modules.setdefault(name, Absent(name))
@@ -77,7 +77,7 @@ def compare(name, found, expected):
 
 
 def seeded(module, seed):
-    """Weights of a known spread in every parameter, those that start at zero too."""
+    """Weights of a known spread in every parameter, also in those that start at zero."""
     generator = torch.Generator().manual_seed(seed)
     for key, parameter in module.named_parameters():
         fan = parameter.shape[1:].numel() if parameter.dim() > 1 else 1
@@ -124,7 +124,7 @@ def official():
         outs = model(resized, is_training=True)
     expected = {'out.patch_tokens': outs['x_norm_patchtokens'][0], 'out.cls_token': outs['x_norm_clstoken'][0]}
     compare('official.pth', forward(work / 'official.pth', inputs, 'official'), expected)
-    # One weight's bit flipped is seen.
+    # A flipped bit of one weight is detected.
     state = model.state_dict()
     flipped = {k: v.clone() for k, v in state.items()}
     flipped['blocks.0.attn.qkv.weight'].view(torch.int32)[0, 0] ^= 1 << 30
@@ -174,7 +174,7 @@ def network(options, seed, use_dino):
     import model.model_utils as utils
     from model.model_utils import SplatPredictor
 
-    # The authors' class fetches its weights; here it has seeded ones.
+    # The authors' class downloads its weights; here it has seeded ones.
     utils.Dinov2Wrapper._build_dinov2 = staticmethod(lambda *_, **__: dino_official(768, 1, heads=12))
     predictor = SplatPredictor(options)
     out = predictor.gs_predictor.gaussian_upsampler.out_channels
@@ -208,7 +208,7 @@ def one_bit_flipped(state, bit=22):
 
 
 def write_network(file, predictor, config, flipped=False):
-    """The network's file as their training leaves it, and what shapes cannot say beside it."""
+    """Writes the network's file as their training does, and the settings that shapes do not determine next to it."""
     state = {f'model.{k}': v.contiguous() for k, v in predictor.state_dict().items()}
     save_file(one_bit_flipped(state) if flipped or flip else state, file)
     file.with_suffix('.json').write_text(json.dumps({'config': config}))
@@ -255,16 +255,16 @@ def streamsplat_parity(name, seed, config, **changes):
         torch.save(predictor.condition_encoder.model.state_dict(), work / f'{name}-dinov2.pth')
 
 
-# A whole clip: from images and depth maps to the Gaussians that their rasteriser is handed, and its image by its formulas.
+# A whole clip: from images and depth maps to the Gaussians that are passed to their rasteriser, and its image by its formulas.
 
 GAP, FRAMES, RATE = 3, 10, 24
-# Frames at which Gaussians are compared: between key frames, and two key frames at the ends of their intervals. Not the first one: there their script draws its pair at time 0,
-# and this program the first key frame alone, which waits for no other.
+# Frames at which Gaussians are compared: between key frames, and two key frames at the ends of their intervals. Not the first one: there their script draws its
+# pair at time 0, and this program draws only the first key frame, without waiting for the second.
 COMPARED = (1, 3, 5, 7, 9)
 
 
 class OnCpu(torch.overrides.TorchFunctionMode):
-    """What their code puts on a graphics card stays here."""
+    """Keeps on the CPU what their code moves to a graphics card."""
 
     def __torch_function__(self, function, kinds, arguments=(), named=None):
         named = dict(named or {})
@@ -276,7 +276,7 @@ class OnCpu(torch.overrides.TorchFunctionMode):
 
 
 class Recorder:
-    """Stands where their rasteriser does, and keeps what it is handed."""
+    """Replaces their rasteriser, and keeps its arguments."""
 
     calls = []
 
@@ -290,14 +290,14 @@ class Recorder:
 
 
 def blocks(small, spread, generator):
-    """An image twice as large, of whole numbers, whose bilinear reduction by 2 is `small` to the bit: opposite corners of a block differ alike."""
+    """An image twice as large, of whole numbers, whose bilinear reduction by 2 is `small` to the bit: opposite corners of a block differ by equal amounts."""
     change = torch.randint(0, spread + 1, small.shape, generator=generator)
     pattern = torch.tensor([[1, -1], [-1, 1]]).repeat(*small.shape)
     return torch.kron(small, torch.ones(2, 2, dtype=small.dtype)) + pattern * torch.kron(change, torch.ones(2, 2, dtype=change.dtype))
 
 
 def make_clip(folder, height, width, seed):
-    """Ten images and ten maps of inverse depth, of twice the size at which the network sees them. The largest depths are in maps of frames between key frames."""
+    """Ten images and ten maps of inverse depth, of twice the size of the network's input. The largest depths are in maps of frames between key frames."""
     generator = torch.Generator().manual_seed(seed)
     (folder / 'frames').mkdir(parents=True)
     (folder / 'depth').mkdir()
@@ -325,7 +325,8 @@ def reduced(path, size):
 
 
 def gaussians_of_ply(path, aspect):
-    """Position (world axes of their renderer), deviations, opacity and colour of a file of 3D Gaussian splatting, whose x and depth are as wide as the picture is."""
+    """Position (world axes of their renderer), deviations, opacity and colour of a file of 3D Gaussian splatting, whose x and depth have the range of the
+    picture's width."""
     head, body = path.read_bytes().split(b'end_header\n', 1)
     names = [line.split()[2].decode() for line in head.splitlines() if line.startswith(b'property')]
     rows = np.frombuffer(body, np.dtype([(name, '<f4') for name in names])).astype([(name, 'f8') for name in names])
@@ -340,7 +341,7 @@ def gaussians_of_ply(path, aspect):
 def drawn(settings, handed, by_tiles):
     """Their rasteriser's image by its formulas, in binary64: orthographic, a low-pass of 0.3 px², α of at most 0.99 and at least 1/255, T of at least 10⁻⁴. Footprints end
     at tiles of 16×16 that three standard deviations of the longer axis touch, or nowhere."""
-    # Thousands of small steps: threads only wait for each other.
+    # Thousands of small steps: more threads would only wait for each other.
     torch.set_num_threads(1)
     h, w = settings.image_height, settings.image_width
     mean = torch.cat([handed['means3D'].double(), torch.ones(len(handed['means3D']), 1, dtype=torch.float64)], -1)
@@ -401,12 +402,12 @@ def whole_clip(name, seed, config, images=True):
         import model.encoder_model as base
         import model.splat_model_inference as theirs
 
-        # Their class, with the network of seeded weights in the place of those that it builds.
+        # Their class, with the network of seeded weights instead of those that it builds.
         base.GSPredictor = lambda *_, **__: torch.nn.Module()
         theirs.SplatPredictor = lambda opt: network(opt, seed, config['use_dino'])
         whole = theirs.SplatModel(opt).eval()
         whole(data)
-    # Their script shows the first frame of the first pair alone.
+    # Their script shows only the first frame of the first pair.
     shown = [call for n, call in enumerate(Recorder.calls) if n < GAP + 1 or n % (GAP + 1)]
     check(len(shown) == FRAMES, f'{name}: expected {FRAMES} images of theirs, found {len(shown)}')
     write_network(work / f'{name}.safetensors', whole.model, config)
@@ -428,7 +429,7 @@ def whole_clip(name, seed, config, images=True):
             handed = shown[k][1]
             # Depth is 1 / (0.2 + 9.8 y), which makes small errors of y large: it is compared as its inverse.
             theirs = {'position': inverse(handed['means3D']), 'scale': handed['scales'], 'opacity': handed['opacities'], 'rgb': handed['colors_precomp']}
-            # Of those that cannot be seen, too faint or not in front, a file has none.
+            # A file has no invisible Gaussians: none that are too faint or not in front.
             seen = (handed['opacities'][:, 0] >= 1 / 255) & (handed['means3D'][:, 1] > 0)
             ours = {**scene, 'position': inverse(scene['position'])}
             yield k, {key: relative(ours[key], tensor[seen]) for key, tensor in theirs.items()}
@@ -444,13 +445,13 @@ def whole_clip(name, seed, config, images=True):
             most = float((ours - theirs).abs().max())
             print(f'{name} frame {k}, image, footprints end {"at tiles" if by_tiles else "at 1/255"}: {most:.2f}/255 at most')
             check(most <= bar, f'{name} frame {k}: expected samples within {bar}/255 of their formulas, found {most}')
-    # The same file with one bit flipped is seen.
+    # A flipped bit in the same file is detected.
     write_network(work / f'{name}-flipped.safetensors', whole.model, config, flipped=True)
     worst = max(e for _, error in errors(found(work / f'{name}-flipped.safetensors', folder / 'flipped')) for e in error.values())
     check(worst > BAR, f'{name}: a flipped bit of a weight is not seen, {worst}')
 
 
-# Files of other kinds: one line with what was found and what was expected.
+# Files of other kinds: one line with the found and the expected kind.
 
 
 def refused(name, words, arguments):
@@ -462,7 +463,7 @@ def refused(name, words, arguments):
 
 
 class Thing:
-    """An object that is no tensor."""
+    """An object that is not a tensor."""
 
 
 def wrong_files(clip):

@@ -1,4 +1,4 @@
-"""What tests/outside/onnx/run checks: check.py PROGRAM. Every check is a function; the first that fails ends the program."""
+"""Checks of tests/outside/onnx/run: check.py PROGRAM. Every check is a function; the first that fails ends the program."""
 import json
 import os
 import shutil
@@ -21,7 +21,7 @@ MODEL = ROOT / 'fixtures' / 'parity' / 'tiny-nodino.safetensors'
 DEPTH = ROOT / 'fixtures' / 'depth' / 'depth.onnx'
 CAPI = Path(onnxruntime.__file__).parent / 'capi'
 LIBRARY = next(CAPI.glob('libonnxruntime.so.*'))
-# Nothing of the caller's environment may find a library; the variable of tests/mutations/run alone is passed on.
+# Nothing in the caller's environment may find a library; only the variable of tests/mutations/run is passed on.
 MUTATION = {name: os.environ[name] for name in ['STREAMSPLAT_MUTATION'] if name in os.environ}
 BARE = {'PATH': '/nowhere', 'HOME': os.environ.get('HOME', '/'), **MUTATION}
 WITH = {**BARE, 'ORT_DYLIB_PATH': str(LIBRARY)}
@@ -41,7 +41,7 @@ def works(done):
 
 
 def fails(done, *expected):
-    """Exit code 1 and one line that has all of these words."""
+    """Exit code 1 and one line that contains all of these words."""
     assert done.returncode == 1, (done.returncode, done.stderr)
     assert done.stderr.startswith('streamsplat: ') and done.stderr.count('\n') == 1, done.stderr
     for words in expected:
@@ -162,7 +162,7 @@ def a_stopped_run_goes_on_to_the_same_bytes(at):
     whole = json.loads((at / 'whole' / 'run.json').read_text())
     for part in ('outputs', 'input', 'depth'):
         assert record[part] == whole[part], part
-    # Another network would compute other maps: it is not the same run.
+    # Another network would compute other maps: the run is not the same.
     make.save(make.depth(sides=(70, 126)), at / 'other.onnx')
     other = [f'onnx:{at / "other.onnx"}' if part == f'onnx:{DEPTH}' else part for part in options]
     done = run(clip, at / 'out', *other[:4], *other[6:], '--resume')
@@ -176,7 +176,7 @@ def the_library_is_found_in_every_place(at):
     venv = Path(sys.prefix)
     works(run(clip, at / 'venv', *depth, env={**BARE, 'VIRTUAL_ENV': str(venv)}))
     works(run(clip, at / 'python', *depth, env={**BARE, 'PATH': str(venv / 'bin')}))
-    # Python is asked, but runs nothing that the environment or the working folder puts in its way.
+    # Python is queried, but runs nothing that the environment or the working folder provides.
     (at / 'planted').mkdir()
     for name in ('sitecustomize.py', 'onnxruntime.py', 'importlib.py'):
         (at / 'planted' / name).write_text(f"open({str(at / 'ran')!r}, 'w')\n")
@@ -206,7 +206,7 @@ def libraries_that_cannot_be_used_give_one_line(at):
 
     install = "python3 -m pip install 'onnxruntime>=1.24'"
     fails(attempt(BARE), 'ONNX Runtime is not installed', 'no python3', install)
-    # A Python without the package: this one, kept from its packages.
+    # A Python without the package: this one, isolated from its packages.
     (at / 'bin').mkdir()
     bare = at / 'bin' / 'python3'
     bare.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')

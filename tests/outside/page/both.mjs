@@ -1,5 +1,5 @@
-// both.mjs NODE-MODULES STREAMSPLAT SCRATCH-FOLDER BROWSER; from the repository's root. What the page has for its visitors, in Chromium and in Firefox, on
-// a desk and on a telephone. Pictures go to the scratch folder, to be looked at.
+// both.mjs NODE-MODULES STREAMSPLAT SCRATCH-FOLDER BROWSER; from the repository's root. The page's features for visitors, in Chromium and in Firefox, on a
+// desktop and on a phone. Pictures are written to the scratch folder for inspection.
 
 import { existsSync, readFileSync, statSync, writeFileSync } from "node:fs";
 import { check, chromium, open, picture, psnr, run, start } from "../browser.mjs";
@@ -8,11 +8,11 @@ import { firefox } from "../firefox.mjs";
 const [modules, streamsplat, scratch, name] = process.argv.slice(2);
 const CLIP = "fixtures/clips/moving.y4m";
 const [DESK, PHONE] = [[1280, 800], [390, 844]];
-/** For what moves: drawing is in software here. */
+/** Time limit for moving pictures: drawing is in software here. */
 const QUICK = [640, 400];
-/** The page's own pictures beside ours, in dB. */
+/** PSNR of the page's own pictures against ours, in dB. */
 const ENOUGH = 45;
-/** Until the first picture of ten seconds from disk, in milliseconds; a machine with other work gets three times as long. */
+/** Milliseconds until the first picture of ten seconds from disk; a machine with other work gets three times as long. */
 const FIRST = 2000;
 
 const log = { said: [], asked: [] };
@@ -29,7 +29,7 @@ const address = (await view.line).split(" ")[0];
 
 const shown = (page, time) => page.waitForFunction((time) => document.getElementById("canvas").dataset.shown === String(time), time);
 const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
-/** The angles in the address, once that has not changed for two seconds. */
+/** The angles in the address, once it has not changed for two seconds. */
 const angles = (page) =>
   page.evaluate(async () => {
     for (let [last, since] = [location.hash, performance.now()]; performance.now() - since < 2000; await new Promise((done) => setTimeout(done, 100))) {
@@ -41,7 +41,7 @@ const angles = (page) =>
 const keep = async (page, what) => writeFileSync(`${scratch}/${name}-${what}.png`, await page.screenshot());
 
 let visits = 0;
-/** The page at what an address says, which is another one each time, or nothing would be drawn anew. */
+/** The page at an address; a different one each time, as otherwise nothing would be redrawn. */
 async function visit(page, said, at = address) {
   await page.evaluate(() => delete document.getElementById("canvas")?.dataset.shown);
   await page.goto(`${at}#${new URLSearchParams({ ...said, visit: ++visits })}`);
@@ -55,14 +55,14 @@ async function drag(page, [width, height], right, down) {
   await page.mouse.move(width / 2 + right, height / 2 + down, { steps: 4 });
 }
 
-/** Ours at a time and size, from the source's own view or another. */
+/** Our render at a time and size, from the source's own view or another. */
 function ours(time, [width, height], more = []) {
   const out = `${scratch}/ours`;
   run(streamsplat, "render", scene, "--times", String(time), "--size", `${width}x${height}`, "--quiet", ...more, "--out", out);
   return `${out}/frames/000000.png`;
 }
 
-/** A scene in time turns slowly, resists beyond 15 degrees and springs back; freely where that is asked for. */
+/** A scene in time turns slowly, resists beyond 15 degrees and springs back; with free turning it does not. */
 async function turning(page, size) {
   await visit(page, { t: 0.25 });
   await drag(page, size, 100, 0);
@@ -89,7 +89,7 @@ async function turning(page, size) {
   await page.waitForFunction(() => !/yaw|pitch/.test(location.hash));
 }
 
-/** Time: a frame on and back, the end, with and without beginning again. */
+/** Time: a frame forward and back, the end, with and without looping. */
 async function time(page) {
   await visit(page, { t: 0.25 });
   const frame = 1 / 24;
@@ -116,7 +116,7 @@ async function time(page) {
   await click("play");
 }
 
-/** A picture of another size than the screen's is that of `render`. */
+/** A saved picture of another size than the screen's equals that of `render`. */
 async function saved(page) {
   await visit(page, { t: 0.3, background: 0.5 });
   await page.keyboard.press("i");
@@ -124,7 +124,7 @@ async function saved(page) {
   await page.evaluate(([width, height]) => {
     document.getElementById("across").value = width;
     document.getElementById("down").value = height;
-    // The file is taken on its way.
+    // The download is intercepted.
     HTMLAnchorElement.prototype.click = function () {
       window.saved = this.download;
     };
@@ -144,7 +144,7 @@ async function saved(page) {
   await page.waitForFunction((width) => document.getElementById("canvas").width === width, QUICK[0]);
 }
 
-/** A link has the view; the whole screen is asked for. */
+/** A link contains the view; full screen is requested. */
 async function links(page) {
   await visit(page, { t: 0.3, zoom: 1.5 });
   await page.evaluate(() => {
@@ -161,7 +161,7 @@ async function links(page) {
   await page.waitForFunction(() => window.copied[1] === "whole");
 }
 
-/** Our own container opens where a still scene was, and shows what is served; broken ones are refused in a line. */
+/** Our own container replaces a still scene, and shows the served picture; broken ones are refused in a line. */
 async function containers(page) {
   const drop = (file, bytes) =>
     page.evaluate(([file, bytes]) => {
@@ -187,7 +187,7 @@ async function containers(page) {
   await page.evaluate(() => (document.getElementById("interface").hidden = false));
   check(await page.evaluate(() => getComputedStyle(document.getElementById("dock")).display !== "none"), "a scene in time has its time line again");
   check(await page.evaluate(() => document.getElementById("home").textContent === "Source view"), "and its words");
-  // Not in order: chunks need those before them.
+  // Out of order: chunks need those before them.
   for (const [k, time] of [[0, 0.45], [1, 0.1], [2, 0.3]]) {
     const dB = await psnr(other, await look(time), served[k]);
     console.log(`${name}: an opened container at ${time} s: ${dB.toFixed(1)} dB beside what is served`);
@@ -214,7 +214,7 @@ async function containers(page) {
   check((await psnr(other, await look(0.3), last)) >= ENOUGH, "what is refused leaves the scene as it is");
 }
 
-/** On a telephone the middle of the screen is the scene's, with the tools closed and open, and help is about fingers. */
+/** On a phone the middle of the screen belongs to the scene, with the tools closed and open, and help describes touch. */
 async function phone() {
   const page = await opened(PHONE);
   await visit(page, { t: 0.25 });
@@ -243,7 +243,7 @@ async function phone() {
   await page.close();
 }
 
-/** One frame has no time line. */
+/** A single frame has no time line. */
 async function instant() {
   const one = `${scratch}/one`;
   if (!existsSync(one)) run(streamsplat, "run", CLIP, "--frames", "1", "--emit", "scene", "--quiet", "--out", one);
@@ -257,7 +257,7 @@ async function instant() {
   await view.ended;
 }
 
-/** How soon ten seconds from disk are seen, as one file. */
+/** Time until ten seconds from disk are visible, as one file. */
 async function soon() {
   const bytes = readFileSync(CLIP);
   const header = bytes.indexOf("\n") + 1;

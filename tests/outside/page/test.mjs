@@ -10,25 +10,25 @@ import { check, chromium, open, picture, psnr, run, start } from "../browser.mjs
 const [modules, streamsplat, scratch] = process.argv.slice(2);
 const CLIP = "fixtures/clips/moving.y4m"; // 256×144
 const SIZE = [640, 360];
-/** The page's own pictures beside ours: what is quantised for it, and 16-bit sums, leave more than 50 dB. */
+/** PSNR of the page's own pictures against ours: quantisation for the page and 16-bit sums leave more than 50 dB. */
 const ENOUGH = 45;
-/** Of still scenes, whose packets are finer. */
+/** The same for still scenes, whose packets are finer. */
 const STILL = 50;
 
 const scene = `${scratch}/scene`;
-// Depth is found, so that thickness counts from the side.
+// With found depth, so that thickness matters from the side.
 run(streamsplat, "run", CLIP, "--gap", "4", "--frames", "13", "--depth", "auto", "--emit", "scene", "--quiet", "--out", scene);
 const browser = await chromium(modules);
 const log = { said: [], asked: [] };
 const page = await open(browser, SIZE, log);
 const other = await browser.newPage();
 
-/** Waits until the picture of `time` is on the screen. */
+/** Waits until the picture at `time` is on the screen. */
 const shown = (page, time) => page.waitForFunction((time) => document.getElementById("canvas").dataset.shown === String(time), time);
 
-/** The page at what its address says. */
+/** The page at the address's view. */
 async function visit(page, address, said) {
-  // A picture of the view before may be of the same time.
+  // A picture of the previous view may have the same time.
   await page.evaluate(() => delete document.getElementById("canvas")?.dataset.shown);
   await page.goto(`${address}#${new URLSearchParams(said)}`);
   await shown(page, said.t);
@@ -115,7 +115,7 @@ async function controls(address) {
   await page.waitForFunction(() => location.hash.includes("yaw=-"));
   await page.getByRole("button", { name: "Source view" }).click();
   await page.waitForFunction(() => !location.hash.includes("yaw="));
-  // An address that somebody enters counts, though the page was about to write its own.
+  // An entered address counts, though the page was about to write its own.
   await page.evaluate(() => {
     location.hash = "t=0.3";
     history.replaceState(null, "", "#t=0.1");
@@ -123,7 +123,7 @@ async function controls(address) {
   await shown(page, 0.3);
 }
 
-/** A click finds the identity that `streamsplat track` finds, where the page has the source's size. */
+/** A click selects the identity that `streamsplat track` finds, where the page has the source's size. */
 async function picking(address) {
   const small = await open(browser, [256, 144], log);
   await visit(small, address, { t: 0.25, interface: "none" });
@@ -137,7 +137,7 @@ async function picking(address) {
   await small.close();
 }
 
-/** The same picture from a file, which asks for nothing. */
+/** The same picture from a file, which makes no requests. */
 async function file(address) {
   const html = `${scratch}/scene.html`;
   run(streamsplat, "view", scene, "--html", html, "--url", "https://example.org/p/scene.html");
@@ -153,7 +153,7 @@ async function file(address) {
   check((await alone.locator("#poster").count()) === 0, "the picture takes the poster's place");
   const tags = await alone.locator("meta[property^='og:']").evaluateAll((all) => all.map((tag) => [tag.getAttribute("property"), tag.content]));
   check(Object.fromEntries(tags)["og:image"] === "https://example.org/p/scene.png", `tags of a link: found ${tags}`);
-  // Back and forth, so that chunks which need the ones before are taken in another order.
+  // Back and forth, so that chunks that need earlier ones are read in another order.
   for (const t of [0.45, 0.05, 0.3, 0.2]) {
     // The interface is hidden here.
     await alone.locator("#time").evaluate((input, value) => {
@@ -168,7 +168,7 @@ async function file(address) {
   await alone.close();
 }
 
-/** A picture at rest keeps all its pixels in a slow browser, however late the orders come. */
+/** A picture at rest keeps all its pixels in a slow browser, however late the sorted orders arrive. */
 async function resting(address) {
   const slow = await open(browser, SIZE, log);
   await visit(slow, address, { t: 0.1 });
@@ -196,7 +196,7 @@ async function resting(address) {
   await slow.close();
 }
 
-/** A PLY file of needles, discs and balls with harmonics of degree 3, away from the origin, with floaters far from the rest. `lines` are added to its header. */
+/** A PLY file of needles, discs and balls with harmonics of degree 3, away from the origin, with distant floaters. `lines` are added to its header. */
 function cloud(count = 4000, lines = "") {
   let seed = 1;
   const next = () => (seed = (seed * 48271) % 2147483647) / 1073741823.5 - 1;
@@ -211,7 +211,7 @@ function cloud(count = 4000, lines = "") {
   return Buffer.concat([Buffer.from(header), Buffer.from(new Float32Array(rows.flat()).buffer)]);
 }
 
-/** A still scene: from where `render` looks by itself, from other sides, from within, by parallel rays; as a file; picked; without time. */
+/** A still scene: from `render`'s default view, from other sides, from within, by parallel rays; as a file; picked; without time. */
 async function stills() {
   const source = `${scratch}/garden.ply`;
   writeFileSync(source, cloud());
@@ -274,7 +274,7 @@ async function antialiased() {
   view.child.kill("SIGINT");
   check((await view.ended) === 0, "Ctrl-C ends the server well");
 
-  // Three dots of a twentieth of a pixel, one in the middle: of the light that the low-pass makes of them less than 1/255 is left.
+  // Three dots of a twentieth of a pixel, one in the middle: less than 1/255 remains of the light that the low-pass gives them.
   const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
   const rows = [-1, 0, 1].map((x) => [x, 0, 0, 1, 1, 1, 4, -10, -10, -10, 1, 0, 0, 0]);
   const dotted = (lines) => {
@@ -292,7 +292,7 @@ async function antialiased() {
   }
 }
 
-/** An SPZ file of version 1, 2 or 3 with positions of `width` bytes, which no program of ours writes: `plain` changes the bytes before they are compressed. */
+/** An SPZ file of version 1, 2 or 3 with positions of `width` bytes, which none of our programs writes: `plain` changes the bytes before compression. */
 function spz(version, degree, plain = (bytes) => bytes, flags = 0, width = version === 1 ? 6 : 9) {
   const count = 3000;
   let seed = 7;
@@ -320,7 +320,7 @@ async function drop(page, ...files) {
   }, parts);
 }
 
-/** The picture of an opened file, once the page shows it, from where `view` shows it. */
+/** The picture of an opened file, once the page shows it, from the view of `view`. */
 async function opened(page, name) {
   await page.waitForFunction((name) => {
     const find = (id) => document.getElementById(id);
@@ -331,7 +331,7 @@ async function opened(page, name) {
   return picture(page);
 }
 
-/** The packet that the page's worker makes of a file, beside the one that is served: the number of bytes that differ. */
+/** Compares the packet that the page's worker makes of a file with the served one; returns the number of bytes that differ. */
 const differing = (page, path) =>
   page.evaluate(async ([name, bytes]) => {
     const file = new File([Uint8Array.from(atob(bytes), (c) => c.charCodeAt(0))], name);
@@ -350,7 +350,7 @@ const differing = (page, path) =>
     return own.reduce((sum, byte, i) => sum + (byte === served[i] ? 0 : 1), 0);
   }, [basename(path), readFileSync(path).toString("base64")]);
 
-/** Files that are dropped on the page or chosen: each as `view` shows it, to the byte; those that are none leave the scene as it is. */
+/** Files that are dropped on the page or chosen: each equals that of `view`, to the byte; invalid files leave the scene unchanged. */
 async function files(address) {
   const source = `${scratch}/cloud.ply`;
   writeFileSync(source, cloud());
@@ -381,7 +381,7 @@ async function files(address) {
     const name = basename(path);
     await drop(own, [name, readFileSync(path)]);
     let dB = await psnr(other, await opened(own, name), await picture(page));
-    // Gaussians are sorted in the background: on a busy machine two equal pictures may both come before that.
+    // Gaussians are sorted in the background: on a busy machine two equal pictures may both precede the sorting.
     for (let again = 0; again < 20 && dB !== Infinity; again++) {
       await new Promise((done) => setTimeout(done, 250));
       dB = await psnr(other, await picture(own), await picture(page));
@@ -395,7 +395,7 @@ async function files(address) {
     view.child.kill("SIGINT");
     await view.ended;
   }
-  // By key and by button, and of two the later.
+  // By key and by button; of two files the later one.
   own.on("filechooser", (chooser) => chooser.setFiles(source));
   for (const ask of [() => own.keyboard.press("o"), () => own.locator("#open").click()]) {
     await own.evaluate(() => (document.getElementById("interface").hidden = false));
@@ -420,7 +420,7 @@ async function files(address) {
   await alone.close();
 }
 
-/** Files that are not what they say, one message each. */
+/** Files whose content does not match their name, one message each. */
 async function refused(page, [ply, packed, splat], newer) {
   const [whole, compressed, records] = [ply, packed, splat].map((path) => readFileSync(path));
   const changed = (bytes, from, to) => Buffer.from(bytes.toString("latin1").replace(from, to), "latin1");
@@ -430,7 +430,7 @@ async function refused(page, [ply, packed, splat], newer) {
   const bomb = Buffer.concat([Buffer.from("NGSP"), Buffer.from([3, 0, 0, 0, 0x40, 0x42, 0x0f, 0, 0, 12, 0, 0]), Buffer.alloc(20_000_000)]);
   const view = "(open it with: streamsplat view FILE)";
   const newest = readFileSync(newer);
-  /** The first byte of the first frame is another. */
+  /** Changes the first byte of the first frame. */
   const broken = (bytes) => ((bytes = Buffer.from(bytes)), (bytes[bytes.readUInt32LE(16) + 16 * bytes[15]] ^= 1), bytes);
   const all = [
     ["cut.ply", whole.subarray(0, -5), "element vertex: expected 4000 of 236 bytes each, found 943995 bytes"],
@@ -479,7 +479,7 @@ async function refused(page, [ply, packed, splat], newer) {
   check(await message.isHidden(), "a message goes with what is done next");
 }
 
-/** The first picture comes while most of the file is still to come; time waits for the rest. */
+/** The first picture appears before most of the file has arrived; time waits for the rest. */
 async function slowly() {
   const bytes = readFileSync(`${scratch}/scene.html`);
   const first = bytes.indexOf('id="interval-2"');
@@ -511,7 +511,7 @@ async function work(address) {
   const rate = async (name) => {
     const read = () => swaying.evaluate(() => ({ ...document.getElementById("canvas").work(), now: performance.now() }));
     const before = await read();
-    // By count: the time of a picture here does not predict a graphics card's.
+    // Work is counted, as the time of a picture here does not predict a graphics card's.
     await swaying.waitForFunction((count) => document.getElementById("canvas").work().pictures >= count, before.pictures + 8);
     const after = await read();
     const [pictures, orders, records, moved] = ["pictures", "orders", "records", "moved"].map((what) => after[what] - before[what]);
@@ -525,7 +525,7 @@ async function work(address) {
   const hash = await swaying.evaluate(() => location.hash.replace(/t=[^&]*/, ""));
   await swaying.waitForTimeout(700);
   check((await swaying.evaluate(() => location.hash.replace(/t=[^&]*/, ""))) === hash, "a touch ends the sway");
-  // From the source's view, and so slowly that pictures follow each other as on a graphics card.
+  // From the source's view, and slowly, so that pictures follow each other as on a graphics card.
   await swaying.getByRole("button", { name: "Source view" }).click();
   await swaying.locator("#speed").selectOption("0.125");
   const played = await rate("playing");
@@ -533,7 +533,7 @@ async function work(address) {
   await swaying.close();
 }
 
-/** A stream whose frames come one by one is on the page before it ends. */
+/** A stream whose frames arrive one by one is on the page before it ends. */
 async function live() {
   const bytes = readFileSync(CLIP);
   const header = bytes.indexOf("\n") + 1;
@@ -561,7 +561,7 @@ async function live() {
   check(child.exitCode === null, "the run serves on");
   child.kill("SIGINT");
   check((await ended) === 0, "the run ends well");
-  // What was shown stays on the page.
+  // The last picture stays on the page.
   await watching.locator("#time").fill("0.05");
   await shown(watching, 0.05);
   await watching.close();
@@ -572,7 +572,7 @@ async function live() {
   check(outputs(out) === outputs(again), "a stream that is watched gives the same digests");
 }
 
-/** On a telephone's screen everything that is touched is large enough, and none of it lies on the middle of the picture. */
+/** On a phone's screen every control is large enough to touch, and none covers the middle of the picture. */
 async function narrow(address) {
   const phone = await open(browser, [390, 844], log);
   await visit(phone, address, { t: 0.25 });
@@ -590,7 +590,7 @@ async function narrow(address) {
   await phone.close();
 }
 
-/** A page whose server has gone says so, without a rush of questions; one without WebGL2 says that. */
+/** A page whose server has stopped reports it, without a burst of requests; a page without WebGL2 reports that. */
 async function nothing() {
   const view = start(streamsplat, ["view", scene, "--port", "0"], "stdout");
   const address = (await view.line).split(" ")[0];

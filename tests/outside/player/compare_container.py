@@ -1,5 +1,5 @@
-"""compare_container.py STREAMSPLAT SCENE-FOLDER CONTAINER [CONTAINER…]: what read_container.py reads, compared with the scene's own files; and a picture of it with the program's. Other
-containers, of every version, are read whole."""
+"""compare_container.py STREAMSPLAT SCENE-FOLDER CONTAINER [CONTAINER…]: the result of read_container.py, compared with the scene's own files; and a picture of
+it with the program's. Other containers, of every version, are read completely."""
 
 import json
 import struct
@@ -36,7 +36,7 @@ def logarithm(values):
 
 
 def quantised(t):
-    """The whole numbers of a scene's tensors, as docs/container.md has them."""
+    """The whole numbers of a scene's tensors, as in docs/container.md."""
     n = len(t['opacity'])
     out = {}
     for name, steps in (('mean', 8192), ('offset', 8192), ('velocity', 8192)):
@@ -112,7 +112,7 @@ def check(holds, what):
 
 
 def main(streamsplat, folder, path, *others):
-    # Test vectors of BLAKE3: bytes 0 to 250, over and over.
+    # Test vectors of BLAKE3: bytes 0 to 250, repeated.
     data = bytes(i % 251 for i in range(102400))
     for length, digest in ((0, 'af1349b9f5f9a1a6'), (1, '2d3adedff11b61f1'), (1025, 'd00278ae47eb27b3'), (102400, 'bc3e3d41a1146b06')):
         check(blake3(data[:length]).hex().startswith(digest), f'BLAKE3 of {length} bytes: expected {digest}, found {blake3(data[:length]).hex()}')
@@ -144,7 +144,7 @@ def main(streamsplat, folder, path, *others):
     size = (128, 72)
     off = ((drawn(container, 0.3, *size) - rendered(streamsplat, path, 0.3, *size)) ** 2).mean()
     check(off < 10 ** -4.5, f'a picture: expected 45 dB from our render, found {-10 * np.log10(off):.1f}')
-    # What a reader refuses: a bit changed anywhere that counts, and a file cut anywhere.
+    # Refusals: a changed bit anywhere that counts, and a file truncated anywhere.
     data = Path(path).read_bytes()
     damaged = Path(path).with_name('damaged.ssz')
     for at in (0, 8, 40, len(data) // 2, len(data) - 40, len(data) - 200):

@@ -1,8 +1,8 @@
-// Longer clips of short ones.
+// Makes longer clips from short ones.
 
 const [HEADER, TRAILER, INDEX, ENTRY] = [16, 48, 44, 96];
 
-/** The index of a container: its entries, and where it begins. */
+/** The index of a container: its entries, and its offset. */
 export function indexOf(bytes) {
   const place = Number(bytes.readBigUInt64LE(bytes.length - TRAILER));
   const entries = Array.from({ length: bytes.readUInt32LE(place + 40) }, (_, i) => {
@@ -13,7 +13,7 @@ export function indexOf(bytes) {
   return { place, entries };
 }
 
-/** A container of version 3 over and over, for as many seconds or more. Its digests are not made anew. */
+/** A container of version 3 repeated for at least the given seconds. Its digests are not recomputed. */
 export function longer(bytes, seconds) {
   const { place, entries } = indexOf(bytes);
   const [start, end] = [entries[0].start, entries[entries.length - 1].end];

@@ -1,4 +1,4 @@
-// packets.mjs STREAMSPLAT CONTAINER…: packets that the player makes of containers, in Node, compared with those that `streamsplat view` serves.
+// packets.mjs STREAMSPLAT CONTAINER…: compares the player's packets of containers, in Node, with those that `streamsplat view` serves.
 
 import { openAsBlob, readFileSync } from "node:fs";
 import { deflateRawSync } from "node:zlib";
@@ -43,7 +43,7 @@ for (const container of containers) {
   await view.ended;
 }
 
-// What a chunk of other lengths than its index is refused for, before memory is taken.
+// Errors of a chunk whose lengths differ from its index, before memory is allocated.
 const [container] = containers;
 const whole = readFileSync(container);
 const { about, chunks } = await readIndex(new BlobFile(new Blob([whole])));

@@ -18,7 +18,7 @@ LIMIT, U64 = 1 << 46, (1 << 64) - 1
 
 
 class Broken(ValueError):
-    """A file that is no container."""
+    """A file that is not a container."""
 
 
 def expect(holds, part, expected, found):
@@ -26,14 +26,14 @@ def expect(holds, part, expected, found):
         raise Broken(f'{part}: expected {expected}, found {found}')
 
 
-# BLAKE3, as its authors specify it.
+# BLAKE3, by its authors' specification.
 IV = np.array([0x6A09E667, 0xBB67AE85, 0x3C6EF372, 0xA54FF53A, 0x510E527F, 0x9B05688C, 0x1F83D9AB, 0x5BE0CD19], np.uint32)
 ORDER = [2, 6, 3, 10, 7, 0, 4, 13, 1, 11, 12, 5, 9, 14, 15, 8]
 START, END, PARENT, ROOT = 1, 2, 4, 8
 
 
 def compress(key, words, counter, length, flags):
-    """BLAKE3's compression of many blocks at once, one a column. Counters below 2^32 serve files below 4 TiB."""
+    """BLAKE3's compression of many blocks at once, one per column. Counters below 2^32 serve files below 4 TiB."""
     v = [*key, *(np.broadcast_to(np.asarray(x, np.uint32), words.shape[1]) for x in (*IV[:4], counter, 0, length, flags))]
     m = list(words)
     turn = lambda x, bits: (x >> np.uint32(bits)) | (x << np.uint32(32 - bits))
@@ -73,7 +73,7 @@ def blake3(data):
 
 
 def numbers(name, data, count, signed):
-    """LEB128 as unsigned 64-bit numbers, or as the signed ones that were folded."""
+    """LEB128 as unsigned 64-bit numbers, or as folded signed ones."""
     data = np.frombuffer(data, np.uint8)
     ends = np.flatnonzero(data < 128)
     expect(len(ends) == count and (not len(data) or ends[-1] == len(data) - 1), name, f'{count} numbers', len(ends))
@@ -188,7 +188,8 @@ class Container:
         return records
 
     def records(self, i):
-        """An interval's records: `mean`, `velocity`, `offset`, `gamma`, `opacity`, `scale`, `thickness`, `rgb`, `rgb_rate`, and what is kept as it is."""
+        """An interval's records: `mean`, `velocity`, `offset`, `gamma`, `opacity`, `scale`, `thickness`, `rgb`, `rgb_rate`, and the fields that are stored
+        unchanged."""
         q = self.whole(i)
         stack = lambda names, unit: np.stack([q[name] for name in names], 1) / unit
         colour = lambda g, r, b, unit: np.stack([q[r] + q[g], q[g], q[b] + q[g]], 1) / unit

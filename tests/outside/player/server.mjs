@@ -1,4 +1,4 @@
-// A server of files with ranges, which lists requests.
+// A server of files with ranges, which records requests.
 
 import { closeSync, fstatSync, openSync, readSync } from "node:fs";
 import { createServer } from "node:http";
@@ -7,7 +7,7 @@ import { extname, resolve, sep } from "node:path";
 
 const TYPES = { ".html": "text/html", ".js": "text/javascript", ".mjs": "text/javascript", ".json": "application/json" };
 
-/** Bytes of a file, which is open for one answer. */
+/** Bytes of a file, which is opened for one response. */
 function part(path, from, length) {
   const file = openSync(path);
   try {
@@ -29,9 +29,9 @@ function sizeOf(path) {
 }
 
 /**
- * Serves `folders`, by how their addresses begin. `asked` has every request for a `.ssz`: { path, from, length, range, method }. `change` may alter an answer to
- * one: a function of these and of the file's `size` that returns { status, headers, bytes } or nothing. Without `ranges`, files are sent whole.
- * Other sites may use all of it, and read the headers that `exposed` lists.
+ * Serves `folders`, selected by the start of the address. `asked` lists every request for a `.ssz`: { path, from, length, range, method }. `change` may replace
+ * the response: a function of these and of the file's `size` that returns { status, headers, bytes } or nothing. Without `ranges`, files are sent whole. Other
+ * sites may use everything, and read the headers in `exposed`.
  */
 export async function serve(folders) {
   const state = { asked: [], change: null, ranges: true, exposed: "Content-Range, ETag" };

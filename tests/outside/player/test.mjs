@@ -1,5 +1,5 @@
-// test.mjs NODE-MODULES STREAMSPLAT SCRATCH-FOLDER BROWSER; from the repository's root. The player in Chromium or Firefox. Pictures go to the scratch
-// folder, to be looked at.
+// test.mjs NODE-MODULES STREAMSPLAT SCRATCH-FOLDER BROWSER; from the repository's root. The player in Chromium or Firefox. Pictures are written to the scratch
+// folder for inspection.
 
 import { existsSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
 import { check, chromium, open, psnr, run } from "../browser.mjs";
@@ -10,11 +10,11 @@ import { serve } from "./server.mjs";
 const [modules, streamsplat, scratch, name] = process.argv.slice(2);
 const CLIP = "fixtures/clips/moving.y4m";
 const SIZE = [512, 288];
-/** PSNR of the player's pictures with those of `render`, in dB: of its own drawing, and of other engines, which blend bytes. */
+/** PSNR of the player's pictures against those of `render`, in dB: of its own drawing, and of other engines, which blend bytes. */
 const [ENOUGH, BLENDED] = [45, 36];
-/** Pictures a second on two free cores; a sixth of them is enough on a machine with other work. */
+/** Pictures per second on two free cores; a sixth of them is enough on a machine with other work. */
 const RATE = 30;
-/** Bytes of packets that the long clip may keep, and by how much the browser's memory may grow while it plays. */
+/** Limit of packet bytes that the long clip keeps, and of the growth of the browser's memory while it plays. */
 const ROOM = 24 * 2 ** 20;
 const GROWTH = 32 * 2 ** 20;
 
@@ -50,7 +50,7 @@ const shown = (page) => page.waitForFunction(() => window.first);
 /** The canvas at a time, as PNG bytes. */
 async function at(page, time) {
   await page.evaluate((time) => window.element.seek(time), time);
-  // With all pixels, in the order of this very time and view.
+  // With all pixels, in the order of exactly this time and view.
   await page.waitForFunction(() => {
     const { detail, shown, stale, due } = window.element.player;
     return detail === 1 && shown.exact && !stale && !due;
@@ -65,19 +65,19 @@ async function at(page, time) {
   throw new Error("expected a player at rest, found another picture each time");
 }
 
-/** Ours at a time. */
+/** Our render at a time. */
 function ours(time, more = []) {
   run(streamsplat, "render", short, "--times", String(time), "--size", SIZE.join("x"), "--quiet", ...more, "--out", `${scratch}/ours`);
   return `${scratch}/ours/frames/000000.png`;
 }
 
-/** The first picture comes before the rest of the file; its pictures are ours; events have a video's order. */
+/** The first picture appears before the rest of the file has arrived; pictures equal ours; events have a video's order. */
 async function streaming(page) {
   server.asked.length = 0;
   await put(page, { src: "/scratch/long.ssz", background: "0.5" });
   await shown(page);
   const [first, size] = [await page.evaluate(() => window.first), readFileSync(long).length];
-  // The header, the index at the end, the rest of the first chunk, and up to two that are read ahead.
+  // The header, the index at the end, the rest of the first chunk, and up to two chunks read ahead.
   check(first.requests <= 6 && first.bytes < size / 20, `first picture: expected it after six requests, found ${first.requests} and ${first.bytes} of ${size} bytes`);
   check(server.asked.every(({ range }) => range), "requests have a range");
   const events = await page.evaluate(() => window.events);
@@ -85,13 +85,13 @@ async function streaming(page) {
   console.log(`${name}: first picture of a minute (${(size / 1e6).toFixed(0)} MB) after ${first.requests} requests and ${(first.bytes / 1e6).toFixed(2)} MB`);
 }
 
-/** A jump takes one request, of the chunks back to an independent one; going there again takes none. */
+/** A seek takes one request, for the chunks back to an independent one; seeking there again takes none. */
 async function seeking(page) {
   const { entries } = indexOf(readFileSync(long));
   const place = entries.findIndex(({ start, back }) => start > 40 && back === 3);
   const { start, at: begin, bytes } = entries[place];
   const from = entries[place - 3].at;
-  /** Until two seconds pass without a request. */
+  /** Waits until two seconds pass without a request. */
   const rests = async () => {
     for (let last = -1; last !== server.asked.length; await pause(2000)) last = server.asked.length;
   };
@@ -119,7 +119,7 @@ async function seeking(page) {
 async function pictures(page) {
   await put(page, { src: "/scratch/scene.ssz", background: "0.5" });
   await shown(page);
-  // Not in order: chunks need those before them.
+  // Out of order: chunks need those before them.
   for (const time of [0.45, 0.1, 0.3]) {
     const dB = await psnr(other, await at(page, time), ours(time));
     console.log(`${name}: ${time} s from our render: ${dB.toFixed(1)} dB`);
@@ -179,7 +179,7 @@ async function playing(page) {
   check(turns === 2, "a loop begins again");
 }
 
-/** Errors are one line; a server without ranges will do. */
+/** Errors are one line; a server without ranges works. */
 async function errors(page) {
   const whole = readFileSync(short);
   const damaged = Buffer.from(whole);
@@ -215,7 +215,7 @@ async function errors(page) {
   const dB = await psnr(other, await at(page, 0.3), ours(0.3));
   check(dB >= ENOUGH, `a server without ranges: expected ${ENOUGH} dB from our render, found ${dB}`);
   server.ranges = true;
-  // Bytes at hand, and nonsense.
+  // Bytes in memory, and invalid data.
   const said = await page.evaluate(async () => {
     const bytes = await (await fetch("/scratch/scene.ssz")).arrayBuffer();
     await window.element.load(new File([bytes], "a.ssz"));
@@ -256,7 +256,7 @@ function memory() {
   return { bytes: sum("bytes"), seconds: sum("ticks") / 100 };
 }
 
-/** A minute, played again, takes no more memory in its second half than in its first: by then the browser has as much for its garbage as it wants. */
+/** A minute, played again, takes no more memory in its second half than in its first: by then the browser's heap has reached its full size. */
 async function minute(page) {
   await put(page, { src: "/scratch/long.ssz", room: String(ROOM), playbackrate: "4", loop: "" });
   await shown(page);
@@ -281,12 +281,12 @@ async function minute(page) {
   check(late - early <= GROWTH, `a minute: expected ${megabytes(GROWTH)} more at most, found ${megabytes(late - early)}`);
 }
 
-/** Pictures a second while it plays. */
+/** Pictures per second while it plays. */
 async function rate(page) {
   await put(page, { src: "/scratch/scene.ssz", loop: "" });
   await shown(page);
   await page.evaluate(() => window.element.play());
-  // The detail settles.
+  // The level of detail settles.
   await pause(4000);
   const drawn = () => page.evaluate(() => [window.element.player.pictures, window.element.player.detail, performance.now()]);
   const [before, work] = [await drawn(), memory().seconds];
@@ -320,7 +320,7 @@ async function elsewhere(page) {
   await page.waitForFunction(() => window.ready);
 }
 
-/** Until an engine has drawn what came. */
+/** Waits until an engine has drawn the received data. */
 const settled = (page) => page.evaluate(async () => {
   const turns = async () => {
     for (let i = 0; i < 6; i++) await new Promise(requestAnimationFrame);
@@ -351,7 +351,7 @@ async function among(engine, hide) {
   await settled(page);
   const without = await page.screenshot();
   await page.evaluate(hide, true);
-  // The box in front, the one behind where it is seen, and where the scene hides it; the scene alone.
+  // The box in front; the one behind, where it is visible and where the scene hides it; the scene alone.
   const places = [[190, 420], [690, 210], [560, 210], [400, 330]];
   const [a, b] = [await coloursOf(both, places), await coloursOf(without, places)];
   const same = places.map((_, i) => a[i].every((level, k) => Math.abs(level - b[i][k]) <= 8));
@@ -408,7 +408,7 @@ async function playcanvas() {
   });
 }
 
-/** A headset, emulated by iwer: each eye's picture is our render from there; time goes on, a trigger stops it, and the canvas is back at the end. */
+/** A headset, emulated by iwer: each eye's picture equals our render from there; time continues, a trigger stops it, and the canvas returns at the end. */
 async function headset() {
   const [width, height] = SIZE;
   const page = await opened([2 * width, height]);
@@ -470,7 +470,7 @@ async function headset() {
     return [on, moved, off, window.events.join(), player.headset];
   });
   check(times.join() === "true,true,false,vrenter,vrleave,", `a headset: found ${times}`);
-  // Eyes look past the middle of their pictures: the same picture, so many pixels to the side.
+  // Eyes look past the middle of their pictures: the same picture, shifted to the side by that many pixels.
   const shifts = await page.evaluate(async ([width, height]) => {
     const { roomOf, viewFrom } = await import("/player/src/headset.js");
     const { clip, drawing, shown } = window.player;
@@ -535,7 +535,7 @@ await page.close();
 await three();
 await playcanvas();
 await example();
-// Firefox is driven without scripts of other addresses; the headset's code is the same.
+// Firefox is driven without scripts from other addresses; the headset's code is the same.
 if (name === "chromium") await headset();
 await browser.close();
 if (browser !== compared) await compared.close();

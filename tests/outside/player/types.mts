@@ -1,4 +1,4 @@
-// What a program with types writes. It is compiled, not run.
+// A typed program that uses the player. It is compiled, not run.
 
 import { Player, type PlayerOptions } from "../../../engine/player/types/index.js";
 import { load as loadInto, type Splats } from "../../../engine/player/types/playcanvas.js";

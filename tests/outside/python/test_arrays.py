@@ -1,4 +1,4 @@
-"""Gaussians in the world as arrays, still scenes, cameras, frames in memory: against the command line and against the files that it writes."""
+"""Gaussians in the world as arrays, still scenes, cameras, frames in memory: compared with the command line and the files that it writes."""
 
 import json
 import os
@@ -74,7 +74,7 @@ def test_arrays_are_the_numbers_of_the_exported_file(video, tmp_path):
     np.testing.assert_allclose(splats.opacities, 1 / (1 + np.exp(-file["opacity"].astype(float))), rtol=1e-6)
     np.testing.assert_allclose(splats.colors, 0.5 + Y0 * splats.sh[:, 0].astype(float), atol=1e-7)
     assert np.array_equal(splats.quats, np.tile(np.float32([1, 0, 0, 0]), (len(splats), 1)))
-    # The file, opened, is the arrays, bit for bit, and so are those of the interval.
+    # The opened file has the arrays, bit for bit, and so has the interval.
     for other in (Scene(exported).at(), scene.interval(time).at(time)):
         for name in ("means", "quats", "scales", "opacities", "colors", "sh"):
             assert np.array_equal(getattr(other, name), getattr(splats, name)), name
@@ -101,7 +101,7 @@ def test_identities_last_and_arrays_are_float32_and_read_only(video):
     aspect = 256 / 144
     assert 0.0999 * aspect <= splats.means[:, 2].min() and splats.means[:, 2].max() <= 5.001 * aspect
     assert 0.8 < np.abs(splats.means[:, 1]).max() < 1.3 < np.abs(splats.means[:, 0]).max() < 2.3
-    # They outlive what they came from, and are what the standard of arrays in memory takes.
+    # They outlive their source, and fit the standard of arrays in memory.
     means = Scene(video).at(0.0).means
     assert np.isfinite(np.from_dlpack(means)).all() and np.shares_memory(np.from_dlpack(means), means)
 
@@ -114,7 +114,7 @@ def test_every_format_opens_as_a_still_scene(garden, tmp_path):
     for ending in ("ply", "compressed.ply", "spz", "sog", "glb", "splat"):
         path = tmp_path / f"garden.{ending}"
         with warnings.catch_warnings():
-            # Notes on precision, which other tests are about.
+            # Notes on precision, which other tests cover.
             warnings.simplefilter("ignore")
             expected.save(path)
             scene = Scene(path)
@@ -167,7 +167,7 @@ def test_images_are_those_of_the_command_line(garden, video, tmp_path):
     assert scene.render(tmp_path / "camera.json", size="64x36").png() == scene.render(own_json, size="64x36").png()
     with pytest.raises(ValueError, match="found the 9 of .*: render\\(cameras\\("):
         scene.render(tmp_path / "transforms.json")
-    # One camera shows a scene in time and its file alike.
+    # One camera shows a scene in time and its file in the same way.
     moving = Scene(video)
     program("render", video, "--times", 0.1, "--camera", tmp_path / "camera.json", "--size", "64x36", "--out", tmp_path / "c.png")
     assert moving.render(0.1, own_json, size="64x36").png() == (tmp_path / "c.png").read_bytes()
@@ -221,7 +221,7 @@ def test_an_empty_picture_warns(garden):
     scene = Scene(garden)
     K = [[300, 0, 64], [0, 300, 48], [0, 0, 1]]
     away = np.eye(4)
-    away[2, 3] = -9  # the scene lies behind
+    away[2, 3] = -9  # the scene is behind the camera
     with pytest.warns(UserWarning, match="nothing drawn: the camera sees none of 300 Gaussians"):
         scene.render(Camera(away, K, 128, 96))
     away[2, 3] = 9
@@ -352,11 +352,11 @@ def test_frames_in_memory_become_what_their_file_becomes(tmp_path):
     assert result.frames == 9 and result.record["input"]["path"] == "<memory>" and seen[-1] == (9, 9)
     streamsplat_cpu.reconstruct((frame for frame, _ in frames[:9]), tmp_path / "arrays", fps=24, **options)
     assert files(tmp_path / "arrays") == files(tmp_path / "file")
-    # Frames' own times, which no rate has.
+    # Times of frames that no constant rate has.
     uneven = [(frame, time**1.5) for frame, time in frames[:9]]
     streamsplat_cpu.reconstruct(uneven, tmp_path / "uneven", **options)
     assert Scene(tmp_path / "uneven").times[-1][1] == frames[8][1] ** 1.5
-    # What goes wrong on the way is the caller's own exception.
+    # An error during the run is the caller's own exception.
     def broken():
         yield frames[0]
         raise KeyError("camera")

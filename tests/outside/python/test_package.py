@@ -132,7 +132,7 @@ def test_images_and_intervals_are_pickled_shown_and_saved_by_ending(intervals, t
     copy = pickle.loads(pickle.dumps(interval))
     assert copy.render(copy.end).png() == interval.render(interval.end).png() and copy.merges == interval.merges
     assert np.asarray(image).dtype == np.uint8 and np.array_equal(np.asarray(image), image.rgb8())
-    # As other images: 8-bit samples, also where floats are made of them. They belong to the caller; `rgb` shows the image.
+    # Like other images: 8-bit samples, also where floats are computed from them. They belong to the caller; `rgb` shows the image.
     assert np.array_equal(np.asarray(image, np.float32), image.rgb8().astype(np.float32))
     for array in (np.asarray(image), np.array(image, np.float32), image.rgb.copy(), np.asarray(image, np.float64)):
         array[0, 0] = 0
@@ -171,7 +171,7 @@ def test_times_and_cameras_come_in_lists_and_as_matrices(intervals, tmp_path):
     assert views[0].png() == views[1].png() != interval.render(interval.end).png()
     with pytest.raises(ValueError, match="as many as times"):
         interval.render(times, [moved])
-    # What to write instead, which works.
+    # The alternative that the message names works.
     with pytest.raises(TypeError, match=r"found <class 'numpy.ndarray'>; .* it is Camera\(viewmat, K, width, height\)"):
         interval.render(interval.end, matrix)
     K = [[60, 0, 32], [0, 60, 18], [0, 0, 1]]
@@ -183,7 +183,7 @@ def test_pictures_and_tensors_go_in():
     pixels = np.random.default_rng(5).integers(0, 256, (36, 64, 3), dtype=np.uint8)
 
     class Tensor:
-        """As torch's: planes first."""
+        """Like torch's: planes first."""
 
         def __array__(self, dtype=None, copy=None):
             return pixels.transpose(2, 0, 1)
@@ -195,13 +195,13 @@ def test_pictures_and_tensors_go_in():
 
 
 def test_the_example_draws_the_command_lines_frames(by_command_line, tmp_path):
-    # It finds its clip wherever it is run.
+    # It finds its clip from any folder.
     subprocess.run([sys.executable, ROOT / "examples/first_scene.py"], check=True, cwd=tmp_path)
     tmp_path = tmp_path / "first-scene"
     drawn = files(tmp_path / "frames")
     assert drawn, "the example drew nothing"
     expected = files(by_command_line / "frames")
-    # The last frame is a key frame only for the command line; the example stops at the last whole gap.
+    # Only the command line makes the last frame a key frame; the example stops at the last whole gap.
     assert all(data == expected[name] for name, data in drawn.items())
     assert len(drawn) >= len(expected) - 3
     assert (tmp_path / "side.png").stat().st_size > 1000
@@ -245,7 +245,7 @@ def test_arrays_show_the_engines_memory_and_cannot_be_written(intervals):
     image = interval.render(interval.end, depth=True)
     assert image.rgb.shape == (image.height, image.width, 3) and np.shares_memory(image.rgb, image.rgb)
     assert image.depth.shape == (image.height, image.width) and image.alpha is None
-    # An array outlives what it came from.
+    # An array outlives its source.
     mean = streamsplat_cpu.Engine().push(np.zeros((36, 64, 3), np.uint8), 0.0).gaussians.mean
     assert np.isfinite(mean).all()
 
@@ -355,7 +355,7 @@ def test_errors_are_exceptions_that_say_what_was_expected(intervals, tmp_path):
     for kind, text, call in cases:
         with pytest.raises(kind, match=text):
             call()
-    # None of them harmed the stream.
+    # None of them changed the stream.
     assert engine.push(frame, 2.0).index == 1
 
 
@@ -364,7 +364,7 @@ def test_a_damaged_video_leaves_what_came_before_and_is_an_error(tmp_path):
     broken.write_bytes(CLIP.read_bytes()[:-100])
     with pytest.raises(streamsplat_cpu.Error, match="broken.y4m"):
         streamsplat_cpu.reconstruct(broken, tmp_path / "out", gap=4)
-    # The part before the damage is a whole result, as on the command line, and its record contains the damage.
+    # The part before the damage is a complete result, as on the command line, and its record contains the damage.
     record = json.loads((tmp_path / "out" / "run.json").read_text())
     assert "ends early" in record["input"]["damage"] and record["input"]["count"] == 23
 
@@ -388,6 +388,6 @@ def test_other_threads_run_while_the_engine_works():
     to = clock.perf_counter()
     done.set()
     thread.join()
-    # With the lock held there would be a tick or two per frame.
+    # If the lock were held, there would be one or two ticks per frame.
     during = sum(from_ < t < to for t in ticks)
     assert during > 10 * frames, f"{during} ticks in {to - from_:.2f} s"

@@ -1,6 +1,6 @@
-"""What a program says to the package, for type checkers: nothing of it is run.
+"""Uses of the package, for type checkers: nothing is run.
 
-A line that must be refused carries a comment that switches its error off; checkers report such a comment where there is none.
+A line that must be refused has a comment that suppresses its error; checkers report a comment that suppresses nothing.
 """
 
 from collections.abc import Iterator

@@ -1,7 +1,7 @@
-"""What tests/outside/rasterization/run checks: check.py GSPLAT-FOLDER.
+"""Checks of tests/outside/rasterization/run: check.py GSPLAT-FOLDER.
 
-`streamsplat_cpu.rasterization` beside what gsplat's formulas make of the same arrays in float64: images of 1,000 to 100,000 Gaussians, every mode, and the gradients
-of a loss. gsplat counts a Gaussian's pixels as the formulas do here, up to thresholds: an α next to 1/255 is drawn by one and not by the other.
+`streamsplat_cpu.rasterization` against gsplat's formulas on the same arrays in float64: images of 1,000 to 100,000 Gaussians, every mode, and the gradients of
+a loss. gsplat selects a Gaussian's pixels like the formulas here, up to thresholds: an α next to 1/255 may be drawn by one and not by the other.
 """
 import contextlib
 import functools
@@ -24,7 +24,7 @@ def report(name, passed, text, expected):
 
 
 def turned(random, count, away):
-    """Cameras that look at the origin from `away`, a little aside."""
+    """Cameras that look at the origin from near `away`."""
     views = np.tile(np.eye(4), (count, 1, 1))
     for view in views:
         a, b = random.uniform(-0.4, 0.4, 2)
@@ -45,7 +45,7 @@ def scene(seed, count, cameras=2, size=(160, 120), degree=None, channels=3, per_
         means=random.normal(0, 0.8, (count, 3)), quats=random.normal(size=(count, 4)), scales=np.exp(random.uniform(*log_scale, (count, 3))),
         opacities=random.uniform(0.05, 0.98, count), colors=colors, viewmats=turned(random, cameras, 4.0), Ks=np.tile(k, (cameras, 1, 1)),
         backgrounds=random.uniform(0, 1, (cameras, channels if degree is None else 3)))
-    # As float32 holds them.
+    # Rounded to float32.
     return {name: torch.tensor(values, dtype=torch.float32) for name, values in arrays.items()}, dict(width=width, height=height, sh_degree=degree)
 
 
@@ -88,11 +88,11 @@ def images():
         expected = expected.numpy()
         assert found.shape == expected.shape and found_alpha.shape == tuple(alpha.shape), (found.shape, expected.shape)
         assert expected.std() > 0.01, 'the image is flat'
-        # Depth in the scene's units, from 3 to 5 or so, is held to the same share of its range.
+        # Depth in the scene's units, from about 3 to 5, has the same bound relative to its range.
         scale = np.maximum(1.0, np.abs(expected).reshape(-1, expected.shape[-1]).max(0) / 5)
         apart = np.abs(found - expected) / scale
         if 'ED' in words.get('render_mode', ''):
-            # Where hardly anything is drawn depth is decided by what is.
+            # Where hardly anything is drawn, few Gaussians determine depth.
             apart[..., -1] *= alpha.numpy()[..., 0] > 0.02
         psnr, largest = -10 * np.log10(max(np.mean(apart ** 2), 1e-30)), 255 * apart.max()
         name = f'{count} Gaussians, ' + ', '.join(f'{k} {v}' for k, v in (make | words).items())
@@ -120,7 +120,7 @@ def gradients():
         meta['means2d'].retain_grad()
         weights = torch.from_numpy(np.random.default_rng(seed).normal(size=expected.shape))
         of_alpha = torch.from_numpy(np.random.default_rng(seed + 50).normal(size=alpha.shape))
-        # Expected depth where there is something.
+        # Expected depth where something is drawn.
         weights = weights * (alpha.detach() > 0.02)
         ((expected * weights).sum() + (alpha * of_alpha).sum()).backward()
         ((found * weights.float()).sum() + (found_alpha * of_alpha.float()).sum()).backward()
@@ -132,7 +132,7 @@ def gradients():
                 assert got is None or not got.any(), name
                 continue
             if name == 'viewmats':
-                # Their last rows are no part of a camera.
+                # Their last rows are not part of a camera.
                 wanted, got = wanted[:, :3], got[:, :3]
             errors[name] = float((got.double() - wanted).norm() / wanted.norm())
         name = f'gradients, {count} Gaussians, ' + ', '.join(f'{k} {v}' for k, v in (make | words).items())

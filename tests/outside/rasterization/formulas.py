@@ -1,7 +1,7 @@
 """gsplat's PyTorch formulas on a CPU: `formulas(FOLDER)` is its module `gsplat.rendering`, unchanged, whose `_rasterization` then runs without CUDA.
 
-What it takes from CUDA is here instead: which Gaussians a pixel's ray meets, in the words of gsplat's `rasterize_to_indices_in_range` (an α from 1/255, until T
-would be 10⁻⁴ or less). `nerfacc.py` beside this file has the two sums along rays that it takes from that package.
+This file replaces the part that it takes from CUDA: the Gaussians that a pixel's ray meets, as described for gsplat's `rasterize_to_indices_in_range` (an α
+from 1/255, until T would be 10⁻⁴ or less). `nerfacc.py` next to this file has the two sums along rays that it takes from that package.
 """
 import enum
 import importlib
@@ -13,14 +13,14 @@ import numpy as np
 import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-# Pairs of a Gaussian and a pixel that are looked at together.
+# Pairs of a Gaussian and a pixel that are processed together.
 TOGETHER = 2_000_000
-# The indices of the last call, where they are to be kept: with them a call costs its formulas alone.
+# The indices of the last call, where they are kept: with them a call costs only its formulas.
 kept = {'wanted': False, 'found': None}
 
 
 def isect_tiles(means2d, radii, depths, *_, **__):
-    """As if one tile were the image: each image's Gaussians by depth."""
+    """The whole image as one tile: each image's Gaussians by depth."""
     count = means2d.shape[-2]
     order = torch.argsort(depths.detach().reshape(-1, count), dim=-1, stable=True)
     isect_tiles.last = order, radii.reshape(-1, count, 2)
@@ -55,7 +55,7 @@ def _met(order, radii, means, conics, opacities, width, height):
         pixel, alpha, owner = pixel[met], alpha[met], owner[met]
         if not len(pixel):
             continue
-        # T behind each, from the pixel's T so far; nothing behind the first that takes it to 10⁻⁴.
+        # T behind each Gaussian, from the pixel's T so far; nothing behind the first that lowers it to 10⁻⁴.
         starts = np.flatnonzero(np.diff(pixel, prepend=-1))
         total = np.cumsum(np.log1p(-alpha.astype(float)))
         before = np.concatenate([[0.0], total])[starts]

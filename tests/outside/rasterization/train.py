@@ -1,4 +1,4 @@
-"""examples/train_still.py on a small COLMAP project that is made here: train.py EXAMPLE. Its last image is nearer than its first, and its scene opens."""
+"""examples/train_still.py on a small generated COLMAP project: train.py EXAMPLE. Its last image is nearer than its first, and its scene opens."""
 import subprocess
 import sys
 import tempfile

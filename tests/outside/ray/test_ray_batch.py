@@ -18,7 +18,7 @@ FRAMES = 9
 
 @pytest.fixture(scope="module")
 def clips(procedural, tmp_path_factory):
-    """Eight clips of nine frames each, cut from the procedural one at different places."""
+    """Eight clips of nine frames each, cut from the procedural one at different times."""
     header, frames = procedural
     folder = tmp_path_factory.mktemp("clips")
     for i in range(8):
@@ -28,7 +28,7 @@ def clips(procedural, tmp_path_factory):
 
 
 def tree(folder):
-    """Every file with its bytes; of the record its digests alone, as it also tells how long each stage took, as the report does."""
+    """Every file with its bytes. Of the record only the digests, as it also contains times of stages, like the report."""
     found = {}
     for path in (p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != "report.md"):
         content = path.read_bytes()
@@ -49,7 +49,7 @@ def workers():
 
 
 def lines(said):
-    """What the example says, without what Ray says."""
+    """The example's output, without Ray's."""
     return [line for line in said.splitlines() if line.startswith(("8 clips", "clip-"))]
 
 
@@ -76,12 +76,12 @@ def test_a_killed_worker_changes_no_byte(clips, tmp_path):
         assert killed is not None, "no worker was seen at work"
         said, _ = run.communicate(timeout=300)
         assert run.returncode == 0, said
-        # Each is reported once; the killed worker's may have been finished just before.
+        # Each is reported once; the killed worker's clip may have been finished just before.
         assert [line.split(":")[0] for line in sorted(lines(said))] == ["8 clips, 0 done before", *(f"clip-{i}.y4m" for i in range(8))], said
         assert sum(line.endswith("9 frames, 3 key frames") for line in lines(said)) >= 7, said
         assert "task will be retried" in said, said
         assert tree(tmp_path / "ray") == expected
-        # A second run finds everything done; one clip taken away is made again, and only that.
+        # A second run finds everything done; a removed clip is computed again, and only that.
         again = subprocess.run(command, check=True, capture_output=True, text=True)
         assert lines(again.stdout) == ["8 clips, 8 done before"]
         subprocess.run(["rm", "-r", tmp_path / "ray/clip-3"], check=True)

@@ -36,13 +36,13 @@ def test_parts_over_a_cluster_are_one_scene_with_the_bytes_of_a_loop(video, tmp_
     assert said[:3] == ranges and said[3].startswith(f"{tmp_path}/plain.ssz: 9 intervals"), said
     assert sorted(line for line in long(video, tmp_path / "ray.ssz") if line.startswith("frames")) == sorted(ranges)
     assert (tmp_path / "ray.ssz").read_bytes() == (tmp_path / "plain.ssz").read_bytes()
-    # Parts that are there are not made again.
+    # Existing parts are not computed again.
     subprocess.run(["rm", "-r", tmp_path / f"plain.parts/{PART:08}-{2 * PART:08}", tmp_path / "plain.ssz"], check=True)
     kept = (tmp_path / "plain.parts" / f"{0:08}-{PART:08}").stat().st_mtime_ns
     long(video, tmp_path / "plain.ssz", "--plain")
     assert (tmp_path / "plain.parts" / f"{0:08}-{PART:08}").stat().st_mtime_ns == kept
     assert (tmp_path / "ray.ssz").read_bytes() == (tmp_path / "plain.ssz").read_bytes()
-    # Every frame of the video is in it, at its own time, close to what was filmed: no part is another's.
+    # Every frame of the video is in it, at its own time and close to the source: no part is exchanged.
     scene = streamsplat_cpu.Scene(tmp_path / "plain.ssz")
     frames = list(streamsplat_cpu.Frames(video))
     assert scene.span == (frames[0][1], frames[-1][1])

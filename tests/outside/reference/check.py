@@ -1,7 +1,7 @@
-"""What tests/outside/reference/run checks: check.py PROGRAM GSPLAT-FOLDER.
+"""Checks of tests/outside/reference/run: check.py PROGRAM GSPLAT-FOLDER.
 
-Still scenes drawn by this program beside what gsplat's formulas make of them in float64: its file `cuda/_torch_impl.py`, unchanged, for harmonics,
-projection, anti-aliasing and the sums along rays. Here are the scenes, and which Gaussians a pixel's ray meets, in the words of gsplat's
+Still scenes drawn by this program, compared with gsplat's formulas in float64: its file `cuda/_torch_impl.py`, unchanged, for harmonics, projection,
+anti-aliasing and the sums along rays. This file has the scenes, and determines the Gaussians that a pixel's ray meets, as described for gsplat's
 `rasterize_to_indices_in_range`: an α from 1/255, until T would be 10⁻⁴ or less.
 """
 import importlib.util
@@ -29,7 +29,7 @@ _spec.loader.exec_module(gsplat)
 
 NAMES = ['x', 'y', 'z', 'f_dc_0', 'f_dc_1', 'f_dc_2', *(f'f_rest_{i}' for i in range(45)),
          'opacity', 'scale_0', 'scale_1', 'scale_2', 'rot_0', 'rot_1', 'rot_2', 'rot_3']
-# Where Gaussians begin to be drawn, in front of the eye; gsplat's own default is 0.01.
+# Depth from which Gaussians are drawn; gsplat's own default is 0.01.
 NEAR = 1e-6
 BACKGROUND = 0.5
 
@@ -63,7 +63,7 @@ def scene(random, mean, log_scale, most=0.97):
     harmonics = np.concatenate([random.uniform(-1.5, 1.5, (count, 1, 3)), random.normal(0, 0.25, (count, 15, 3))], 1)
     opacity = random.uniform(0.02, most, count)
     made = dict(mean=mean, log_scale=log_scale, harmonics=harmonics, logit=np.log(opacity / (1 - opacity)), rotation=random.normal(size=(count, 4)))
-    # As the file holds them.
+    # As stored in the file.
     return {name: values.astype(np.float32).astype(float) for name, values in made.items()}
 
 

@@ -1,13 +1,13 @@
-"""What tests/outside/reference/run checks beside check.py: optics.py PROGRAM.
+"""Checks of tests/outside/reference/run in addition to check.py: optics.py PROGRAM.
 
-Footprints that end, lenses with a width, panoramas and shutters, drawn by this program beside plain formulas in float64 that share no code with it:
+Footprints that end, lenses with a width, panoramas and shutters, drawn by this program, compared with plain formulas in float64 that share no code with it:
 
-- two grids of 400 and 48,400 Gaussians, as @playcanvas/splat-transform's golden pictures show them, by the formulas of its shaders (3.7.0): the pinhole's
-  Jacobian held at 1.3 times the field, α = min(0.99, o·(e^(−d²/2) − e^(−9/2))) within a square of 3σ of the longer axis, from 1/255 on, until T is under 10⁻⁴;
-- the golden pictures that splat-transform's own tests hold of both (fixtures/splat-transform): no sample of 8 bits further than 1 from them;
+- two grids of 400 and 48,400 Gaussians, as in @playcanvas/splat-transform's golden pictures, by the formulas of its shaders (3.7.0): the pinhole's Jacobian
+clamped at 1.3 times the field, α = min(0.99, o·(e^(−d²/2) − e^(−9/2))) within a square of 3σ of the longer axis, from 1/255 on, until T is under 10⁻⁴;
+- the golden pictures of both in splat-transform's own tests (fixtures/splat-transform): no 8-bit sample differs by more than 1;
 - the same with PlayCanvas's engine's falloff, o·(e^(−d²/2) − e^(−4)) / (1 − e^(−4));
 - depth of field by covariances widened by the disc of a thin lens;
-- a panorama with Gaussians on both poles, on the seam and around the eye, by rays through every pixel: each Gaussian as a pinhole that looks at it would show it;
+- a panorama with Gaussians on both poles, on the seam and around the eye, by rays through every pixel: each Gaussian as in a pinhole that looks at it;
 - the same panorama by the affine approximation in longitude and latitude that splat-transform has, away from the poles;
 - a shutter as the mean of images in linear light.
 """
@@ -28,7 +28,7 @@ LEAST = 1 / 255
 
 
 def as_file(**scene):
-    """The values as a file holds them."""
+    """The values as stored in a file."""
     return {name: np.asarray(values, np.float32).astype(float) for name, values in scene.items()}
 
 
@@ -194,7 +194,7 @@ def display(c):
 
 
 def shutter(folder):
-    """The mean of four images, and what the program makes of them."""
+    """The mean of four images, and the program's result."""
     scene = all_around(300)
     write_ply(folder / 'scene.ply', scene)
     view = lambda time, x: {'time': time, 'type': 'pinhole', 'position': [x, 0, -6], 'look_at': [0, 0, 0], 'fov_y_degrees': 50, 'aspect': 1.5}
@@ -211,7 +211,7 @@ def shutter(folder):
 
 
 def cases(folder):
-    """Name, least PSNR, largest difference of 255, what is expected, what is found."""
+    """Name, least PSNR, largest difference of 255, expected and found picture."""
     three = lambda power: np.where(power > -4.5, np.exp(power) - np.exp(-4.5), 0)
     engine = lambda power: np.where(power > -4, (np.exp(power) - np.exp(-4)) / (1 - np.exp(-4)), 0)
     whole = lambda power: np.exp(power)
@@ -221,7 +221,7 @@ def cases(folder):
         yield f'{name} splats, splat-transform', 70, 1.5, splat_transform(scene, camera, three), draw(folder, scene, camera, '--footprint', 'splat-transform')
     _, scene, camera = grids[0]
     yield '400 splats, PlayCanvas', 70, 1.5, splat_transform(scene, camera, engine), draw(folder, scene, camera, '--footprint', 'playcanvas')
-    # The plane through the point that is looked at; a pupil of 0.2.
+    # In focus: the plane through the camera's target; a pupil of 0.2.
     focus, focal = np.sqrt(89.0), 0.5 / np.tan(np.radians(30))
     lens = ['--f-stop', 2.0, '--sensor-height', 0.4 / focal, '--focus', repr(float(focus))]
     yield '400 splats, a lens', 70, 1.5, splat_transform(scene, camera, whole, 0.2, focus, 2 ** -16), draw(folder, scene, camera, *lens)
@@ -240,7 +240,7 @@ def cases(folder):
 
 
 def golden(folder):
-    """splat-transform's own pictures of both grids beside ours: whether they agree, and a line."""
+    """Compares splat-transform's own pictures of both grids with ours; returns whether they agree, and a line."""
     cameras = [('400', grid(20, 1.0, 0.1), [0, 5, -8], 320, 240), ('48400', grid(220, 0.3, 0.05), [0, 10, -15], 640, 360)]
     for name, scene, position, width, height in cameras:
         for footprint in ('splat-transform', 'gaussian'):
@@ -248,7 +248,7 @@ def golden(folder):
             theirs = ROOT / f'fixtures/splat-transform/{name}.webp'
             done = subprocess.run([PROGRAM, 'compare', str(theirs), str(folder / 'image.png'), '--json'], capture_output=True, text=True)
             picture = json.loads(done.stdout)['pictures'][0]
-            # Rounding to 8 bits alone; without the option they are several steps apart.
+            # Only the rounding to 8 bits; without the option they differ by several steps.
             passed = picture['largest'] < 1.01 if footprint == 'splat-transform' else picture['largest'] > 5
             yield passed, f'golden picture of {name} splats, --footprint {footprint}: {picture["psnr"]:.1f} dB, largest difference {picture["largest"]:.0f}/255'
 

@@ -1,12 +1,12 @@
-"""As much of PyTorch's interface as gsplat's reference formulas need, over NumPy in float64: they then run as they are, and differentiable arrays of
-gigabytes are not installed for a few products."""
+"""The part of PyTorch's interface that gsplat's reference formulas need, over NumPy in float64. So they run unchanged, and gigabytes of PyTorch need not be
+installed for a few products."""
 import types
 
 import numpy as np
 
 
 class Tensor(np.ndarray):
-    """An array with the few methods by which PyTorch's differ from NumPy's."""
+    """An array with the few methods of PyTorch's that NumPy's lack."""
 
     device = None
 

@@ -1,8 +1,7 @@
 // test.mjs NODE-MODULES STREAMSPLAT SCRATCH-FOLDER; from the repository's root.
-//
-// What the viewer does otherwise, and how far that shows: it cuts every Gaussian at √8 standard deviations (ours go on to α = 1/255),
-// blends in bytes, and projects in binary32. Ours is the render of the same file: that of the scene folder widens its Gaussians where it is
-// enlarged, which a file for other programs cannot ask for.
+// Differences of the viewer: it cuts every Gaussian at √8 standard deviations (ours extend to α = 1/255), blends in bytes, and projects in binary32. Our
+// picture is the render of the same file: a render of the scene folder widens its Gaussians where it is enlarged, which a file for other programs cannot
+// request.
 
 import { createReadStream, readFileSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
@@ -12,14 +11,14 @@ import { check, chromium, open, picture, psnr, run } from "../browser.mjs";
 const [modules, streamsplat, scratch] = process.argv.slice(2);
 const SIZE = [640, 360];
 const ENOUGH = 36;
-/** From where the whole scene is in view: what lies across an edge of the picture, the viewer leaves out by another rule. */
+/** A view of the whole scene: the viewer has another rule for Gaussians across an edge of the picture. */
 const CAMERAS = {
   "from the left": { position: [-1.6, -0.7, -2.2], look_at: [0, 0, 0.3] },
   "from the lower right": { position: [1.4, 1.2, -2.4], look_at: [0.1, 0, 0.3] },
 };
-/** From the front, where nothing is drawn larger than the model had it: the scene, its file, and the file in the viewer are one picture. */
+/** From the front, where nothing is drawn larger than in the model: the scene, its file, and the file in the viewer have the same picture. */
 const FRONT = { position: [0, 0, -5.8], look_at: [0, 0, 0.3] };
-/** The embedded model's Gaussians are many and nearly in one plane; those of a small model with seeded weights few, large, and at all depths. */
+/** The embedded model's Gaussians are many and nearly in one plane; those of a small model with seeded weights are few, large, and at all depths. */
 const CLIP = "fixtures/clips/moving.y4m"; // 256×144
 const SCENES = {
   embedded: { clip: CLIP, shape: 16 / 9 },
@@ -45,7 +44,7 @@ function turned(y4m) {
   return Buffer.concat(parts);
 }
 
-/** Width and height of what is not black in a picture of the viewer. */
+/** Width and height of the area that is not black in a picture of the viewer. */
 const extent = (page, picture) =>
   page.evaluate(async (picture) => {
     const bytes = Uint8Array.from(atob(picture), (c) => c.charCodeAt(0));
@@ -59,7 +58,7 @@ const extent = (page, picture) =>
       lit.x.push(i % image.width);
       lit.y.push(Math.floor(i / image.width));
     }
-    // Half of a percent on either side may be a stray Gaussian.
+    // Half a percent on either side is ignored: it may be a stray Gaussian.
     return [lit.x, lit.y].map((places) => {
       places.sort((a, b) => a - b);
       return places[Math.floor(0.995 * places.length)] - places[Math.floor(0.005 * places.length)];

@@ -19,7 +19,7 @@ export async function show(file, { position, look_at, up, fov_y_degrees }) {
   camera.fov = (fov_y_degrees * Math.PI) / 180;
   camera.minZ = 0.01;
   camera.maxZ = 100;
-  // Its own place for this library is another server.
+  // By default it loads this library from another server.
   const splat = { spzLibraryUrl: "/@adobe/spz/dist/spz.js" };
   await BABYLON.ImportMeshAsync(file, scene, { pluginOptions: { splat } });
   await scene.whenReadyAsync();

@@ -12,7 +12,7 @@ import { check, chromium, open, picture, psnr, run } from "../browser.mjs";
 const [modules, streamsplat, scratch] = process.argv.slice(2);
 const SIZE = [480, 272];
 const CAMERA = { position: [0.9, -0.6, -3.2], look_at: [0, 0, 0.2], up: [0, -1, 0], fov_y_degrees: 45 };
-/** Decibels that each format reaches in each viewer, at least; formats that are not here a viewer does not open. */
+/** Least PSNR in decibels of each format in each viewer. A viewer does not open formats that are not listed. */
 const BARS = {
   spark: { ply: 42, "compressed.ply": 42, spz: 40, sog: 42, splat: 44 },
   playcanvas: { ply: 49, "compressed.ply": 37, sog: 46, glb: 49 },
@@ -20,9 +20,9 @@ const BARS = {
   gaussiansplats3d: { ply: 33, "compressed.ply": 34, splat: 35 },
   threejs: { ply: 30, spz: 30, glb: 30, splat: 30 },
 };
-/** Decibels that a scene half a turn away has at most. */
+/** Largest PSNR in decibels of a scene rotated by half a turn. */
 const TURNED = 18;
-/** What is seen of the probe, and how near it has to come. */
+/** Measurements of the probe, and their tolerances. */
 const FACTS = {
   ours: { end: 3.3, last: 1, middle: 229, bright: 204, light: 248 },
   "ours with --antialias": { options: ["--antialias"], end: 3.3, last: 1, middle: 229, bright: 204, light: 4 },
@@ -44,7 +44,7 @@ function plyOf(gaussians) {
 /** Values as properties that are numbered. */
 const numbered = (name, values) => Object.fromEntries(values.map((value, i) => [`${name}${i}`, value]));
 
-/** Gaussians of all shapes and colours, with harmonics of degree 1, which look the same from no two sides. */
+/** Gaussians of all shapes and colours, with harmonics of degree 1, which look different from every side. */
 function scene(count) {
   let state = 1;
   const random = () => ((state = (Math.imul(state, 1664525) + 1013904223) >>> 0) / 2 ** 32) * 2 - 1;
@@ -60,7 +60,7 @@ function scene(count) {
   });
 }
 
-/** What viewers do on their own shows in three places: a large Gaussian, one brighter than white, and 400 far smaller than a pixel. */
+/** The viewers' own conventions show in three places: a large Gaussian, one brighter than white, and 400 far smaller than a pixel. */
 const PROBE = { position: [0, 0, -10], look_at: [0, 0, 0], up: [0, -1, 0], fov_y_degrees: (360 / Math.PI) * Math.atan(SIZE[1] / 2000) };
 const [LARGE, BRIGHT, SMALL, SIGMA] = [[120, 80], [360, 80], [240, 220], 20];
 function probe() {
@@ -75,7 +75,7 @@ function probe() {
   return [...small, at(BRIGHT, 2, 0.4, SIGMA), at(LARGE, 1, 0.9, SIGMA)];
 }
 
-/** Of a picture of the probe: standard deviations to where the large one ends, its last value, the middle of a grey's, and the light of the small ones. */
+/** Measures a picture of the probe: standard deviations to the end of the large one, its last value, the middle value of the grey one, and the light of the small ones. */
 const facts = (page, png) =>
   page.evaluate(
     async ([png, [large, bright, small, sigma]]) => {
@@ -119,7 +119,7 @@ const ours = (name, file, { up, ...camera }, ...options) => {
   return `${scratch}/${name}.png`;
 };
 const rights = ["gaussian", "playcanvas"].map((footprint) => ours(footprint, ply, CAMERA, "--footprint", footprint));
-/** The right picture: PlayCanvas's footprints end as ours do on demand, and .splat has no harmonics. */
+/** The expected picture: PlayCanvas's footprints end like ours with that option, and .splat has no harmonics. */
 const right = (viewer, format) => (viewer === "playcanvas" ? rights[1] : format === "splat" ? plain : rights[0]);
 const flat = scene(400).map((gaussian) => Object.fromEntries(Object.entries(gaussian).filter(([name]) => !name.startsWith("f_rest_"))));
 writeFileSync(`${scratch}/flat.ply`, plyOf(flat));
@@ -130,7 +130,7 @@ const browser = await chromium(modules);
 const other = await browser.newPage();
 const failures = [];
 
-/** The picture that a viewer shows of a file. */
+/** A viewer's picture of a file. */
 async function shown(viewer, file, view) {
   const log = { said: [], asked: [] };
   const page = await open(browser, SIZE, log);
@@ -173,7 +173,7 @@ for (const [viewer, expected] of Object.entries(FACTS)) {
     if (Math.abs(found[name] - wanted) > within(wanted)) failures.push(`${viewer}: expected ${name} ${wanted}, found ${found[name].toFixed(2)}`);
   }
 }
-// A scene the other way up is no match.
+// An upside-down scene does not match.
 const turned = await psnr(other, ours("turned", ply, { ...CAMERA, position: CAMERA.position.map((x, axis) => (axis ? -x : x)), look_at: CAMERA.look_at.map((x, axis) => (axis ? -x : x)) }), rights[0]);
 console.log(`half a turn about x: ${turned.toFixed(1)} dB`);
 check(turned < TURNED, `expected less than ${TURNED} dB of a scene half a turn away, found ${turned}`);

@@ -1,4 +1,4 @@
-// What viewers on three.js share: a camera, and a renderer that draws on black.
+// Shared by viewers on three.js: a camera, and a renderer that draws on black.
 
 import * as THREE from "three";
 

@@ -6,7 +6,7 @@ import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { SPLATLoader } from "three/addons/loaders/SPLATLoader.js";
 import { SPZLoader } from "three/addons/loaders/SPZLoader.js";
 
-/** It takes splats' colours for linear ones and encodes them: `linear` keeps it from that. */
+/** It treats splats' colours as linear and encodes them: `linear` prevents that. */
 export async function show(file, { position, look_at, up, fov_y_degrees, linear }) {
   const camera = new THREE.PerspectiveCamera(fov_y_degrees, innerWidth / innerHeight, 0.01, 100);
   camera.up.set(...up);

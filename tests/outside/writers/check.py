@@ -1,4 +1,4 @@
-"""What tests/outside/writers/run checks: check.py PROGRAM [NAME…]."""
+"""Checks of tests/outside/writers/run: check.py PROGRAM [NAME…]."""
 import json
 import os
 import signal
@@ -33,7 +33,7 @@ def run(clip, target, *more, **options):
 
 
 def close(clip, target, *more):
-    """The same with the model inside the program, whose images are as flat as the frames."""
+    """The same with the model inside the program; its images are of one colour like the frames."""
     return program('run', clip, '--out', target, '--quality', 'realtime', '--threads', 1, '--emit', 'rgb', *more)
 
 
@@ -73,14 +73,14 @@ def by_libwebp(path):
 
 
 def colours(work):
-    """Every writer's matrix and range, by every reader that there is for it, and the tags."""
+    """Every writer's matrix and range, by every available reader, and the tags."""
     for number, colour in enumerate(COLOURS):
         for size in [(64, 36)] if number else [(64, 36), (1280, 720)]:
             name = f'{number}-{size[0]}'
             flat(work / name, colour, size, 2)
             # The images show the frames, for any model.
             close(work / name, work / f'{name}.images', '--size', 'source')
-            # What is drawn is near the frame, and all of one colour.
+            # The drawn image is near the frame, and all of one colour.
             truth = by_pillow(work / f'{name}.images' / 'frames' / '000000.png').mean(0)
             for ending in NAMES if size[0] == 64 else ['mp4', 'webp']:
                 file = work / f'{name}.{ending}'
@@ -102,7 +102,7 @@ def colours(work):
 
 
 def uneven(work):
-    """A video whose frames have times of their own keeps them, with its sound; a scene knows them."""
+    """A video whose frames have times of their own keeps them, with its sound; a scene stores them."""
     shown = [0, 0.1, 0.2, 0.3, 3.0, 3.04, 3.1, 3.5]
     clip = work / 'uneven.mp4'
     select = '+'.join(f'eq(n\\,{round(t * 50)})' for t in shown)
@@ -143,7 +143,7 @@ def even(work):
 
 
 def odd(work):
-    """H.264 gets even sides and a profile that players know, and a line says so; others stay odd."""
+    """H.264 gets even sides and a profile that players support, and a line reports it; others stay odd."""
     flat(work / 'odd', (200, 40, 40), (81, 45))
     for ending, size in [('mp4', (82, 46)), ('mkv', (82, 46)), ('webm', (81, 45)), ('avif', (81, 45)), ('webp', (81, 45)), ('gif', (81, 45))]:
         file = work / f'odd.{ending}'
@@ -174,7 +174,7 @@ def stopped(work):
 
 
 def full(work):
-    """A disk that is full under the encoder, as far as files may be here: the run fails, and what was there stays."""
+    """A limit on file sizes simulates a disk that is full under the encoder: the run fails, and the previous file stays."""
     source = work / 'noise.mp4'
     out('ffmpeg', '-v', 'error', '-f', 'lavfi', '-i', 'nullsrc=s=320x192:r=10:d=1,geq=random(1)*255:128:128', '-c:v', 'libx264', '-qp', 10, source)
     run(source, work / 'images.d', '--size', 'source')

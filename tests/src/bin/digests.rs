@@ -1,9 +1,9 @@
-//! Prints one digest per thing the project computes: `digests [--levels A,B] [--threads 1,2,3,8] [--check FILE]
-//! [NAME…]`.
+//! Prints one digest per computed item: `digests [--levels A,B] [--threads 1,2,3,8] [--check FILE] [NAME…]`.
 //!
-//! Every thing is computed on every level (of this machine, or those named: one that it does not have is an error) and
-//! with every number of threads; all must agree. `--check FILE` compares with lines printed before, on another machine
-//! perhaps. A NAME keeps the things whose name contains it. Exit status 1 where anything differs.
+//! Every item is computed on every level and with every number of threads; all digests must agree. Levels are those of
+//! this machine, or those named; a named level that the machine lacks is an error. `--check FILE` compares with lines
+//! printed earlier, for example on another machine. A NAME selects the items whose name contains it. The exit status is
+//! 1 where anything differs.
 
 use std::process::ExitCode;
 

@@ -1,5 +1,5 @@
-//! `extremes [--write] [--short] [WORD]`: runs the cases whose name has WORD in it (all) and prints their table;
-//! `--write` puts the report and the record of all of them into `tests/extremes`.
+//! `extremes [--write] [--short] [WORD]`: runs the cases whose name contains WORD (default: all) and prints their
+//! table. `--write` writes the report and the record of all cases to `tests/extremes`.
 
 use std::process::ExitCode;
 

@@ -1,5 +1,5 @@
-//! `seeds FOLDER`: writes the seeds and regressions of every fuzz target into `FOLDER/NAME/`, for libFuzzer to start
-//! from, and prints the targets' names with the longest input worth trying.
+//! `seeds FOLDER`: writes the seeds and regressions of every fuzz target into `FOLDER/NAME/`, as a start for libFuzzer.
+//! Prints the targets' names with the longest useful input.
 
 use std::path::Path;
 use std::process::ExitCode;

@@ -1,4 +1,4 @@
-//! The kernels at sizes that are no multiple of anything.
+//! The kernels at sizes that are not multiples of any block.
 
 use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as};
 use streamsplat_kernels::flow::{Field, Options, Pyramid};
@@ -12,10 +12,10 @@ use streamsplat_kernels::{Level, flow, harmonics, norm, patches, resize, truncat
 use super::{Digest, Thing};
 use crate::noise::noise;
 
-/// Apart in their bits, so that 65,537 of them lie in every binade, denormals, infinities and NaN included.
+/// Distance of the values' bit patterns: 65,537 values cover every binade, denormals, infinities and NaN included.
 const STRIDE: u32 = 65_521;
 
-/// Values from all over the number line.
+/// Values from the whole number line.
 fn everywhere() -> impl Iterator<Item = f32> {
     (0..u32::MAX / STRIDE).map(|i| f32::from_bits(i * STRIDE))
 }
@@ -84,7 +84,7 @@ pub(super) fn things() -> Vec<Thing> {
             }
         }),
         Thing::new("flow", |level, digest| {
-            // A texture of blurred noise and where it moved; both are made of sums and products alone.
+            // A texture of blurred noise, and the same moved; both use only sums and products.
             let size @ [h, w] = [61, 93];
             let smooth: Vec<f32> = {
                 let mut grid = vec![0.0; 3 * h * w];

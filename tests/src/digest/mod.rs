@@ -1,8 +1,7 @@
-//! One digest per thing the project computes, for the bit contract: the same on every level, thread count, run and
-//! machine.
+//! One digest per computed item, for the bit contract: the same on every level, thread count, run and machine.
 //!
-//! Each [`Thing`] is small, so that all of them run in a minute on a real CPU and in some on an emulated one. Between
-//! them they reach every kernel, the network in each kind of configuration, and a short stream through both fusion
+//! Each [`Thing`] is small, so that all of them run in a minute on a real CPU and in some minutes on an emulated one.
+//! Together they cover every kernel, the network in each kind of configuration, and a short stream in both fusion
 //! modes.
 
 mod kernels;
@@ -15,7 +14,7 @@ pub use splats::scene;
 use rayon::ThreadPoolBuilder;
 use streamsplat_kernels::Level;
 
-/// Something computed, and how to compute it on a level, on the current rayon pool.
+/// A computed item, with the function that computes it on a level, on the current rayon pool.
 pub struct Thing {
     /// Its name.
     pub name: String,
@@ -30,7 +29,7 @@ impl Thing {
     /// Its digest on a level and a number of threads, in hexadecimal.
     ///
     /// # Panics
-    /// When the threads cannot be started, or the thing cannot be computed.
+    /// When the threads cannot be started, or the item cannot be computed.
     pub fn digest(&self, level: Level, threads: usize) -> String {
         let pool = ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
         let mut digest = Digest(blake3::Hasher::new());
@@ -39,16 +38,16 @@ impl Thing {
     }
 }
 
-/// Everything there is to compute, in a fixed order.
+/// All items, in a fixed order.
 pub fn things() -> Vec<Thing> {
     [kernels::things(), splats::things(), network::things(), stream::things()].into_iter().flatten().collect()
 }
 
-/// Takes values in.
+/// Hash of values.
 pub struct Digest(blake3::Hasher);
 
 impl Digest {
-    /// Values by their bits; every NaN counts as the same, since its bits are not defined.
+    /// Adds values by their bits; every NaN counts as the same, since its bits are not defined.
     pub fn floats(&mut self, values: &[f32]) {
         for value in values {
             let bits = if value.is_nan() { 0x7fc0_0000 } else { value.to_bits() };
@@ -56,7 +55,7 @@ impl Digest {
         }
     }
 
-    /// Values by their bits.
+    /// Adds values by their bits.
     pub fn doubles(&mut self, values: &[f64]) {
         for value in values {
             let bits = if value.is_nan() { f64::NAN.to_bits() } else { value.to_bits() };
@@ -64,7 +63,7 @@ impl Digest {
         }
     }
 
-    /// Integers.
+    /// Adds integers.
     pub fn integers(&mut self, values: impl IntoIterator<Item = u64>) {
         for value in values {
             self.0.update(&value.to_le_bytes());

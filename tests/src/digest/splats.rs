@@ -58,7 +58,7 @@ fn linear(level: Level, digest: &mut Digest, scene: &Splats) {
     digest.integers([u64::from(steps)]);
 }
 
-/// The scene by gsplat's conventions from a camera a little aside, in five channels, and the gradients of a loss.
+/// The scene by gsplat's conventions from a slightly moved camera, in five channels, and the gradients of a loss.
 fn world(level: Level, digest: &mut Digest, scene: &Splats) {
     let gaussians = scene.gaussians();
     let Projection::Pinhole { focal, centre } = scene.projection else { panic!("a pinhole") };
@@ -98,7 +98,7 @@ fn world(level: Level, digest: &mut Digest, scene: &Splats) {
     }
 }
 
-/// An image, all planes of it.
+/// Adds all planes of an image.
 pub(super) fn add(digest: &mut Digest, image: &Image) {
     digest.floats(&image.rgb);
     for plane in [&image.depth, &image.alpha, &image.final_t].into_iter().flatten() {

@@ -22,7 +22,7 @@ pub(super) fn things() -> Vec<Thing> {
             stream(level, digest, "tiny-sampled", &settings);
         }),
         Thing::new("stream/container", container),
-        // Tiles that overlap, since this model takes no part of its grid.
+        // Tiles that overlap, since this model does not take a part of its grid.
         Thing::new("stream/tiles-motion-colours", |level, digest| {
             let checkpoint = streamsplat_fixtures::path("parity/tiny-nodino.safetensors");
             let settings = Settings {
@@ -54,14 +54,14 @@ pub(super) fn things() -> Vec<Thing> {
     ]
 }
 
-/// Depth that Gaussians are lifted to.
+/// Depth to which Gaussians are lifted.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Depth {
     Given,
     Found,
 }
 
-/// Three key frames with two frames between each two, which are passed to the engine.
+/// Three key frames, with two frames between each pair passed to the engine.
 fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]: [usize; 2], depth: Option<Depth>) {
     let settings = Settings {
         level: Some(level),

@@ -1,4 +1,4 @@
-//! Attention over logits that leave nothing but one weight, or none.
+//! Attention over logits that leave only one weight, or none.
 
 use streamsplat_kernels::attention::{Rows, Shape, Windows, attend_as, reference};
 use streamsplat_kernels::gemm::Precision;
@@ -38,7 +38,7 @@ fn along(logit: impl Fn(usize) -> f32) -> Input {
     input
 }
 
-/// The values' mean, over the keys that `takes`.
+/// The mean of the values of the keys that `takes` selects.
 fn mean(v: &[f32], takes: impl Fn(usize) -> bool) -> Vec<f64> {
     let keys: Vec<usize> = (0..KEYS).filter(|&j| takes(j)).collect();
     (0..WIDTH).map(|c| keys.iter().map(|j| f64::from(v[j * WIDTH + c])).sum::<f64>() / keys.len() as f64).collect()

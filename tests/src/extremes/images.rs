@@ -1,4 +1,4 @@
-//! Images of one colour, of one pixel's width, of every depth of sample, and values that are no colours.
+//! Images of one colour, one pixel wide, of every sample depth, and with values that are not colours.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -17,7 +17,7 @@ use crate::reference::{Inputs, Sizes, Tensors, forward, relative_l2};
 const GROUP: &str = "Images";
 const MODEL: &str = "tiny-nodino";
 
-/// The sample of `count` values of one channel, all through a PNG: value over the largest.
+/// All `count` sample values of one channel through a PNG: value over the largest.
 fn samples(bits: u32) -> Case {
     let count = 1_u32 << bits;
     Case::new(

@@ -1,5 +1,5 @@
-//! Extremes: every case on every instruction-set level of the machine and with 1, 2, 3 and 8 threads, its error against
-//! binary64, and whether the bits agree.
+//! Extremes: every case on every instruction-set level of the machine and with 1, 2, 3 and 8 threads. Each reports its
+//! error against binary64 and whether the bits agree.
 //!
 //! A [`Case`] computes values and judges them: the worst error, the value that has it, and properties that must hold
 //! for any error. [`record`] keeps the errors: tests compare with `tests/extremes/record.json`;
@@ -32,7 +32,7 @@ pub const THREADS: [usize; 4] = [1, 2, 3, 8];
 pub struct Computed {
     /// Values by which it is judged.
     pub values: Vec<f64>,
-    /// Further results that have to agree: counts, identities, messages.
+    /// Further results that must agree: counts, identities, messages.
     pub rest: Vec<u64>,
 }
 
@@ -76,7 +76,7 @@ pub enum Unit {
 }
 
 impl Unit {
-    /// How it is written.
+    /// Its name in the report.
     pub const fn name(self) -> &'static str {
         match self {
             Unit::Absolute => "absolute",
@@ -105,12 +105,12 @@ pub struct Judged {
 }
 
 impl Judged {
-    /// Nothing is wrong yet.
+    /// A judgement without errors.
     fn new(unit: Unit) -> Self {
         Self { error: 0.0, unit, ours: f64::NAN, exact: f64::NAN, broken: Vec::new() }
     }
 
-    /// The error of values against exact ones. A NaN must be one; an infinity must be the same.
+    /// The error of values against exact ones. A NaN must be NaN, an infinity the same infinity.
     fn of(unit: Unit, ours: &[f64], exact: impl IntoIterator<Item = f64>) -> Self {
         let mut judged = Self::new(unit);
         let mut count = 0;
@@ -125,21 +125,21 @@ impl Judged {
         judged
     }
 
-    /// Keeps the worse.
+    /// Keeps the worse error.
     fn take(&mut self, error: f64, ours: f64, exact: f64) {
         if error > self.error || self.ours.is_nan() {
             (self.error, self.ours, self.exact) = (error.max(self.error), ours, exact);
         }
     }
 
-    /// Notes a broken promise unless `holds`.
+    /// Notes a broken property unless it `holds`.
     fn demand(&mut self, holds: bool, what: impl FnOnce() -> String) {
         if !holds && self.broken.len() < 8 {
             self.broken.push(what());
         }
     }
 
-    /// The same with a demand.
+    /// Adds a property that must hold.
     fn and(mut self, holds: bool, what: impl FnOnce() -> String) -> Self {
         self.demand(holds, what);
         self
@@ -155,7 +155,7 @@ fn distance(unit: Unit, ours: f64, exact: f64) -> f64 {
     }
 }
 
-/// How much is drawn where much can be.
+/// Size of the cases whose size is free.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     /// Sizes of every test run.
@@ -164,14 +164,14 @@ pub enum Form {
     Long,
 }
 
-/// Where a case runs.
+/// Level, threads and size of a case's run.
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
     /// The instruction-set level.
     pub level: Level,
-    /// Threads of the current pool; for what starts its own.
+    /// Threads of the current pool, for code that starts its own.
     pub threads: usize,
-    /// How much is drawn.
+    /// Size of the case.
     pub form: Form,
 }
 
@@ -202,8 +202,8 @@ impl Case {
         format!("{}: {}", self.group, self.name)
     }
 
-    /// Computes it on every level and thread count and judges the first; places whose bits differ from the first's are
-    /// broken. The long form runs on the highest level alone: the short one compares bits.
+    /// Computes the case on every level and thread count and judges the first result. Runs whose bits differ from the
+    /// first are noted as broken. The long form runs only on the highest level, as the short one compares bits.
     ///
     /// # Panics
     /// When threads cannot be started.

@@ -1,4 +1,4 @@
-//! Intervals of every length, and time stamps that cannot be.
+//! Intervals of every length, and invalid time stamps.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ fn engine(place: Place, fusion: Fusion) -> (Engine, Arc<Theatre>) {
     (Engine::new(settings).expect("starts"), theatre)
 }
 
-/// The images of all intervals at five times each, then the velocities; how many records were dropped or unsound.
+/// The images of all intervals at five times each, then the velocities; and the number of dropped or invalid records.
 fn stream(place: Place, fusion: Fusion, times: &[f64]) -> Computed {
     let (mut engine, theatre) = engine(place, fusion);
     let (mut values, mut rest) = (Vec::new(), Vec::new());
@@ -44,7 +44,7 @@ fn stream(place: Place, fusion: Fusion, times: &[f64]) -> Computed {
     Computed::with(&values, rest)
 }
 
-/// Images are those of a stream whose intervals last a second: the scene has no clock.
+/// Images equal those of a stream whose intervals last a second: the scene does not depend on the length of time.
 fn steady(name: &str, fusion: Fusion, start: f64, length: f64) -> Case {
     let times = move |start: f64, length: f64| (0..FRAMES).map(|k| start + length * k as f64).collect::<Vec<_>>();
     Case::new(
@@ -60,8 +60,8 @@ fn steady(name: &str, fusion: Fusion, start: f64, length: f64) -> Case {
     )
 }
 
-/// Lengths that change by eighteen orders of magnitude from one interval to the next: what survivors do with their
-/// velocity is finite.
+/// Lengths that change by eighteen orders of magnitude from one interval to the next: survivors' velocities stay
+/// finite.
 fn stiff(fusion: Fusion) -> Case {
     let times = [0.0, 1e-9, 1e9, 1e9 + 1e-6, 2e9, 2e9 + 1.0, 3e9];
     Case::new(
@@ -77,7 +77,7 @@ fn stiff(fusion: Fusion) -> Case {
     )
 }
 
-/// Time stamps that are refused; the stream then continues unchanged.
+/// Refused time stamps; the stream then continues unchanged.
 fn refused() -> Case {
     let bad = [0.5, 0.4, -1.0, f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
     Case::new(
@@ -104,7 +104,7 @@ fn refused() -> Case {
     )
 }
 
-/// A stream without a frame rate: frames come 24 to the second.
+/// A stream without a frame rate: frames are taken as 24 per second.
 fn missing() -> Case {
     Case::new(
         GROUP,

@@ -1,4 +1,4 @@
-//! Norms of rows whose squares leave binary32.
+//! Norms of rows whose squares overflow or underflow binary32.
 
 use streamsplat_kernels::norm::{layer_norm, reference, rms_norm};
 
@@ -16,7 +16,7 @@ fn row(size: f32) -> Vec<f32> {
 fn pair(name: &str, x: impl Fn() -> Vec<f32> + Copy + Send + Sync + 'static) -> [Case; 2] {
     let (w, b) = (|| noise(D, 22), || noise(D, 23));
     let judge = |found: &Computed, exact: Vec<f64>| {
-        // The largest output of a normalised row is about 1; that of a vanishing one is its own largest.
+        // Errors are relative to the row's largest output: about 1, and less for a vanishing row.
         let most = exact.iter().fold(0.0_f64, |m, e| m.max(e.abs()));
         let mut judged = Judged::of(Unit::Absolute, &found.values, exact);
         judged.error = if most > 0.0 { judged.error / most } else { judged.error };

@@ -33,7 +33,7 @@ pub(super) fn cases() -> Vec<Case> {
             let compute = move |place: super::Place| {
                 let mut values = Vec::new();
                 for tau in times(gamma1).into_iter().flat_map(|t| [t, -t]) {
-                    // Enough for every lane; all are the same.
+                    // Enough for every lane; all values are equal.
                     let mut out = [0.0; 17];
                     opacity_at(place.level, &[OPACITY; 17], &[gamma; 17], tau, &mut out);
                     values.extend([out[0], out[16]]);

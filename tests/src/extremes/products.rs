@@ -49,7 +49,7 @@ fn case(name: &str, operands: impl Fn() -> Operands + Copy + Send + Sync + 'stat
     })
 }
 
-/// Row after row the same, with weights that follow from `weight`.
+/// Equal rows, with weights from `weight`.
 fn repeated(row: Vec<f32>, weight: impl Fn(usize) -> f32) -> Operands {
     let k = row.len();
     let w: Vec<f32> = (0..k).map(weight).collect();
@@ -63,13 +63,13 @@ pub(super) fn cases() -> Vec<Case> {
         (row[0], row[1], row[2]) = (1e6, 0.25, -1e6);
         repeated(row, |_| 1.0)
     };
-    // The two that cancel lie in different blocks, near the largest finite number.
+    // The two terms that cancel are in different blocks, near the largest finite number.
     let across = || {
         let mut row = vec![0.0; 600];
         (row[3], row[300], row[599]) = (1.5e38, 1.0, -1.5e38);
         repeated(row, |_| 1.0)
     };
-    // Every term has its opposite later on, and the sum is a millionth of the terms.
+    // Every term has its opposite later in the row, and the sum is a millionth of the terms.
     let pairs = || {
         let half = noise(512, 31);
         let row: Vec<f32> = half.iter().copied().chain(half.iter().map(|x| -x)).collect();

@@ -1,4 +1,4 @@
-//! The errors as they were recorded, and what became worse since.
+//! The recorded errors, and the comparison with them.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -26,7 +26,7 @@ pub fn read() -> Errors {
     serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// Complaints about a case's short form: broken promises, and an error above the recorded one.
+/// Complaints about a case's short form: broken properties, and an error above the recorded one.
 pub fn complaints(case: &Case, recorded: &Errors) -> Vec<String> {
     let Judged { error, unit, ours, exact, mut broken } = case.run(Form::Short);
     match recorded.get(&case.key()) {

@@ -54,7 +54,7 @@ fn error(judged: &Judged) -> String {
     }
 }
 
-/// The whole report of cases that ran.
+/// The report of all cases.
 pub fn markdown(rows: &[(Case, Judged)]) -> String {
     let mut text = HEAD.to_owned();
     let levels: Vec<_> = Level::available().iter().map(|level| level.name()).collect();

@@ -1,4 +1,4 @@
-//! The truncated normal: inside its bounds, and distributed as it should be, tails included.
+//! The truncated normal: inside its bounds, and of the exact distribution, tails included.
 
 use streamsplat_kernels::math::scalar;
 use streamsplat_kernels::parallel::map_indexed;
@@ -14,7 +14,7 @@ const CHUNK: usize = 1 << 14;
 /// √n·D above this has a probability of 1e-5 by chance.
 const UNLIKELY: f64 = 2.47;
 
-/// The mass on which the distribution is tried.
+/// Part of the distribution that is tested.
 #[derive(Clone, Copy, PartialEq)]
 enum Part {
     Whole,
@@ -50,7 +50,7 @@ fn draws(form: Form) -> usize {
     if form == Form::Long { 10_000_000 } else { 50_000 }
 }
 
-/// √n times the distance of `values` from the distribution in which each has mass `mass` below.
+/// √n times the distance of `values` from the distribution with cumulative mass `mass`.
 fn kolmogorov_smirnov(values: &[f64], mass: impl Fn(f64) -> f64 + Sync) -> f64 {
     let n = values.len() as f64;
     let parts = map_indexed(values.len().div_ceil(CHUNK), |chunk| {
@@ -141,17 +141,17 @@ pub(super) fn cases() -> Vec<Case> {
     cases
 }
 
-/// Draws by which a formula is tried in [`collapse`].
+/// Draws that test a formula in [`collapse`].
 pub const TRIED: usize = 1001;
 
-/// How a formula does at a parameter pair: over u from 0 to 1, or from ε to 1 − ε.
+/// Quality of a formula at a parameter pair, over u from 0 to 1, or from ε to 1 − ε.
 #[derive(Clone, Copy, Debug)]
 pub struct Held {
-    /// The largest distance from the exact quantile; infinite where a value is no number.
+    /// The largest distance from the exact quantile; infinite where a value is NaN.
     pub error: f64,
     /// Different values among [`TRIED`].
     pub different: usize,
-    /// Values outside the bounds, or no numbers.
+    /// Number of values outside the bounds or NaN.
     pub outside: usize,
 }
 
@@ -197,8 +197,8 @@ fn held(mean: f32, log_scale: f32, ends: [f32; 2], value: impl Fn(f32) -> f32) -
     Held { different: bits.len(), ..held }
 }
 
-/// Where the published formula collapses, and our result there. The reference is [`quantile`], which the cases above
-/// try against the exact distribution.
+/// Parameters at which the published formula collapses, and our result there. The reference is [`quantile`], which the
+/// cases above test against the exact distribution.
 pub fn collapse() -> Vec<Collapse> {
     let row = |(mean, log_scale): (f32, f32)| {
         let draw = |u| {

@@ -1,11 +1,11 @@
-//! Splats made to go wrong.
+//! Difficult splats.
 
 use streamsplat_kernels::raster::{Gaussians, OwnedGaussians, Projection, Request};
 
 /// Pixels per row and rows: no multiple of a tile or a block.
 pub(super) const SIZE: [usize; 2] = [61, 45];
 
-/// Splats in view space, and how they are seen.
+/// Splats in view space, and their view.
 #[derive(Clone)]
 pub(super) struct Scene {
     pub splats: OwnedGaussians,
@@ -16,18 +16,18 @@ pub(super) const ORTHOGRAPHIC: Projection = Projection::Orthographic { focal: [3
 pub(super) const PINHOLE: Projection = Projection::Pinhole { focal: [50.0, 50.0], centre: [30.0, 22.0] };
 
 impl Scene {
-    /// Without splats; each will be `rotated` or none.
+    /// A scene without splats, whose splats will all be `rotated` or none.
     pub(super) fn new(projection: Projection, rotated: bool) -> Scene {
         Scene { splats: OwnedGaussians { rotation: rotated.then(Vec::new), ..OwnedGaussians::default() }, projection }
     }
 
-    /// One more, not rotated.
+    /// Adds a splat that is not rotated.
     pub(super) fn push(&mut self, mean: [f32; 3], scale: [f32; 3], opacity: f32) {
         let shade = (self.splats.mean.len() % 7) as f32 / 7.0;
         self.splats.push(mean, scale, [1.0, 0.0, 0.0, 0.0], opacity, [shade, 1.0 - shade, 0.3]);
     }
 
-    /// A few unremarkable splats, rotated or not.
+    /// A few ordinary splats, rotated or not.
     pub(super) fn plain(projection: Projection, rotated: bool) -> Scene {
         let mut scene = Scene::new(projection, rotated);
         for i in 0..40 {

@@ -1,4 +1,4 @@
-//! The rasteriser in every trap, against its plain form in binary64.
+//! The rasteriser in difficult cases, against its plain form in binary64.
 
 use streamsplat_kernels::raster::{Image, Projection, reference, render};
 
@@ -6,7 +6,7 @@ use super::scenes::{ORTHOGRAPHIC, PINHOLE, SIZE, Scene, about_z};
 use super::{Case, Computed, Judged, Unit};
 
 const GROUP: &str = "Splats";
-/// Pixels decided by less than this (relative) may be decided otherwise in binary32.
+/// Pixels nearer to a threshold than this (relative) may be decided differently in binary32.
 const UNDECIDED: f64 = 1e-4;
 
 pub(super) fn computed(image: Image) -> Computed {
@@ -15,7 +15,7 @@ pub(super) fn computed(image: Image) -> Computed {
     Computed::with(&values, image.blended.unwrap_or_default().into_iter().map(u64::from).chain([image.dropped]))
 }
 
-/// Absolutely, but colour and depth in parts of the largest where that is above 1.
+/// The absolute error; for colour and depth relative to the largest value where that is above 1.
 pub(super) fn against_reference(scene: &Scene, found: &Computed) -> Judged {
     let plain = reference::render(&scene.gaussians(), &scene.projection, &scene.request());
     let pixels = SIZE[0] * SIZE[1];
@@ -58,7 +58,8 @@ pub(super) fn against_reference(scene: &Scene, found: &Computed) -> Judged {
         .and(dropped == plain.dropped, || format!("{dropped} dropped, expected {}", plain.dropped))
 }
 
-/// A scene in both projections, unrotated ones rotated by nothing as well: the separable and the general form.
+/// A scene in both projections. Unrotated ones are also drawn with a rotation by almost zero: the separable and the
+/// general form.
 fn scenes(name: &str, fill: impl Fn(&mut Scene), drawn: Option<bool>) -> Vec<Case> {
     let kinds = [
         ("orthographic", ORTHOGRAPHIC, false),
@@ -72,7 +73,7 @@ fn scenes(name: &str, fill: impl Fn(&mut Scene), drawn: Option<bool>) -> Vec<Cas
         if scene.splats.rotation.is_some() && !rotated {
             continue;
         }
-        // A rotation by nothing is taken out again where the form is chosen: a hair of one is not.
+        // The identity is recognised when the form is chosen; a tiny rotation is not.
         if let (true, Some(rotation)) = (kind.ends_with("form"), &mut scene.splats.rotation) {
             rotation.iter_mut().filter(|q| **q == [1.0, 0.0, 0.0, 0.0]).for_each(|q| q[3] = 1e-20);
         }
@@ -152,7 +153,7 @@ pub(super) fn cases() -> Vec<Case> {
         scenes("1e12 units aside, 1e12 large", |s: &mut Scene| s.push([1e12, 0.0, 1.0], [1e12; 3], 0.9), Some(true)),
     ];
     let mut cases: Vec<Case> = all.into_iter().flatten().collect();
-    // An orthographic camera sees Gaussians just before it; for a pinhole they are too near.
+    // An orthographic camera draws Gaussians just in front of it; for a pinhole they are too near.
     for (kind, projection, drawn) in [("orthographic", ORTHOGRAPHIC, true), ("pinhole", PINHOLE, false)] {
         for (name, z) in [("1e-30", 1e-30), ("1e-6", 1e-6), ("1e-40, denormal", 1e-40)] {
             let mut scene = Scene::new(projection, false);

@@ -1,5 +1,5 @@
-//! Denormal, infinite and NaN values in every input: the record that carries one is dropped and counted, nothing
-//! spreads.
+//! Denormal, infinite and NaN values in every input: a record with an infinite or NaN value is dropped and counted, and
+//! affects no other.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use crate::theatre::Theatre;
 const GROUP: &str = "Values that are no numbers";
 const BAD: [f32; 3] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
 
-/// The fields of a splat that can be spoilt.
+/// The fields of a splat that are set to bad values.
 const FIELDS: [&str; 5] = ["mean", "scale", "rotation", "opacity", "colour"];
 
 /// Puts `value` into a field of splat `i`.
@@ -31,7 +31,7 @@ fn spoil(scene: &mut Scene, i: usize, field: &str, value: f32) {
     }
 }
 
-/// Without splat `i`.
+/// The scene without the splats `indices`.
 fn without(scene: &Scene, indices: &[usize]) -> Scene {
     fn rest<T: Clone>(all: &[T], indices: &[usize]) -> Vec<T> {
         all.iter().enumerate().filter(|(i, _)| !indices.contains(i)).map(|(_, v)| v.clone()).collect()
@@ -46,7 +46,7 @@ fn without(scene: &Scene, indices: &[usize]) -> Scene {
     Scene { splats, projection: scene.projection }
 }
 
-/// Three splats of forty spoilt: the image is that of the other thirty-seven, to the bit.
+/// Three splats of forty have a bad value: the image is that of the other thirty-seven, to the bit.
 fn splat(kind: &'static str, field: &'static str) -> Case {
     const SPOILT: [usize; 3] = [3, 17, 38];
     let scene = move || match kind {
@@ -74,7 +74,7 @@ fn splat(kind: &'static str, field: &'static str) -> Case {
     )
 }
 
-/// Numbers, if extreme ones: drawn as they are.
+/// Extreme but finite numbers: drawn unchanged.
 fn denormal(value: f32, field: &'static str) -> Case {
     let scene = move || {
         let mut scene = Scene::plain(ORTHOGRAPHIC, true);
@@ -108,7 +108,7 @@ fn counted(name: &str, compute: impl Fn(Place) -> (u64, Vec<f32>) + Send + Sync 
     )
 }
 
-/// A network on frames with one bad number in pixels or depth: an error that names the place.
+/// A network on frames with one bad number in pixels or depth: an error that names its index.
 fn network() -> Case {
     counted(
         "forward, NaN and ±∞ in pixels and depth: an error each",

@@ -1,4 +1,4 @@
-//! Videos that break what motion and colours rest on: cuts, black, noise, jumps of exposure.
+//! Videos that break the assumptions of motion and colours: cuts, black, noise, jumps of exposure.
 
 use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
 
@@ -8,7 +8,7 @@ use crate::noise::noise;
 const GROUP: &str = "Videos";
 /// Columns and rows of a frame: one tile of the embedded model's.
 const SIZE: [usize; 2] = [96, 56];
-/// Frames from key frame to key frame; all between are seen.
+/// Frames from key frame to key frame; all between are passed to the engine.
 const GAP: usize = 2;
 const FRAMES: usize = 2 * GAP + 1;
 

@@ -1,8 +1,8 @@
-//! Targets of hostile bytes: one function per reader, shared by libFuzzer (`tests/fuzz`) and by the tests, which replay
-//! seeds, earlier findings, and mutations of both.
+//! Targets of hostile bytes: one function per reader. libFuzzer (`tests/fuzz`) and the tests share them; the tests
+//! replay seeds, earlier findings, and mutations of both.
 //!
-//! A function takes any bytes. An error from the reader is an answer; a panic, a wrong property of the result, or
-//! memory that the bytes do not justify is a finding.
+//! A function takes any bytes. An error from the reader is a valid result. A panic, a wrong property of the result, or
+//! more memory than the bytes justify is a finding.
 //!
 //! To add a target: a function in `targets.rs`, its seeds in `seeds.rs`, a line in [`TARGETS`], and
 //! `tests/fuzz/fuzz_targets/NAME.rs` with a `[[bin]]` in `tests/fuzz/Cargo.toml`.
@@ -16,15 +16,15 @@ use std::path::PathBuf;
 pub use mutate::Mutations;
 pub use targets::colmap;
 
-/// A reader of bytes from outside.
+/// A reader of untrusted bytes.
 pub struct Target {
     /// Its name, as in `tests/fuzz/fuzz_targets/NAME.rs`.
     pub name: &'static str,
-    /// Reads the bytes and checks what came of them.
+    /// Reads the bytes and checks the result.
     pub run: fn(&[u8]),
     /// Well-formed inputs of every kind that it reads.
     pub seeds: fn() -> Vec<Vec<u8>>,
-    /// Longest input worth trying.
+    /// Longest useful input.
     pub longest: usize,
 }
 
@@ -58,10 +58,10 @@ impl Target {
         TARGETS.iter().find(|target| target.name == name)
     }
 
-    /// Inputs that once did harm: the files of `tests/fuzz/regressions/NAME`, by name.
+    /// Inputs of earlier findings: the files of `tests/fuzz/regressions/NAME`, by name.
     ///
     /// # Panics
-    /// When the folder is there and cannot be read.
+    /// When the folder exists and cannot be read.
     pub fn regressions(&self) -> Vec<(String, Vec<u8>)> {
         let folder = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz/regressions")).join(self.name);
         if !folder.exists() {

@@ -1,6 +1,6 @@
-//! Mutations of an input that follow from a seed: what a fuzzer does first, without one.
+//! Mutations of an input from a seed, as a fuzzer makes them first.
 
-/// Bytes that often matter: signs, limits, and what separates things in text.
+/// Bytes that often matter: signs, limits, and separators of text.
 const BYTES: [u8; 16] = [0, 1, 0x7f, 0x80, 0xff, b'0', b'9', b'-', b'.', b'"', b'[', b'{', b',', b':', b'\n', b'e'];
 
 /// An endless series of inputs near a seed.
@@ -32,7 +32,7 @@ impl<'a> Mutations<'a> {
             2 => bytes.truncate(at),
             3 => bytes.insert(at, BYTES[self.below(BYTES.len())]),
             4 => {
-                // Four bytes that are a number's worth of extremes.
+                // Four bytes of an extreme number.
                 let word = [0, 1, u32::MAX, 1 << 31, i32::MAX as u32, 0x7fc0_0000, 0x7f80_0000, 1][self.below(8)];
                 for (to, from) in bytes[at..].iter_mut().zip(word.to_le_bytes()) {
                     *to = from;

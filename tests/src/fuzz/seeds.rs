@@ -1,4 +1,4 @@
-//! Well-formed inputs, small, of every kind that a reader reads.
+//! Small well-formed inputs of every kind that a reader reads.
 
 use std::io::Cursor;
 
@@ -11,11 +11,11 @@ use streamsplat::stream::{Handover, Interval, Merge, Record, Reference, Workers}
 use streamsplat::{export, openexr};
 use streamsplat_kernels::Level;
 
-/// Configuration that the shapes of [`model`] leave open.
+/// Configuration that the shapes of [`model`] do not determine.
 pub(super) const CONFIG: &str =
     r#"{"resolution": [1, 1], "upsampler_window": 1, "use_dino": false, "resized_to": [1, 1]}"#;
 
-/// A safetensors file by hand, for number formats that are not written otherwise: every tensor is of zeros.
+/// A handwritten safetensors file, for number formats that our writer lacks: every tensor is zero.
 fn zeros(tensors: &[(&str, &str, &[usize], usize)]) -> Vec<u8> {
     let (mut entries, mut end) = (Vec::new(), 0);
     for (name, dtype, shape, bits) in tensors {
@@ -30,7 +30,7 @@ fn zeros(tensors: &[(&str, &str, &[usize], usize)]) -> Vec<u8> {
     file
 }
 
-/// The tensors of a checkpoint that sizes are read off, for patches of one pixel.
+/// The tensors of a checkpoint that determine its sizes, for patches of one pixel.
 pub(super) fn model() -> Vec<u8> {
     const ENCODER: &str = "model.gs_predictor.encoder.transformer_encoder";
     const DECODER: &str = "model.decoder.transformer_decoder";
@@ -197,7 +197,7 @@ fn exr(names: &[&str]) -> Vec<u8> {
     bytes
 }
 
-/// A TIFF by hand: little end first, one strip without compression of 2×2 grey samples of `bits` bits.
+/// A handwritten TIFF: little-endian, one uncompressed strip of 2×2 grey samples of `bits` bits.
 fn tiff(bits: u16) -> Vec<u8> {
     let data: Vec<u8> = (0..4 * bits / 8).map(|i| (i * 31) as u8).collect();
     let entries: [(u16, u16, u32); 8] = [
@@ -224,7 +224,7 @@ fn tiff(bits: u16) -> Vec<u8> {
     file
 }
 
-/// A JPEG of one grey block, by hand: every table as short as it can be.
+/// A handwritten JPEG of one grey block, with the shortest possible tables.
 fn jpeg() -> Vec<u8> {
     let mut file = vec![0xff, 0xd8, 0xff, 0xdb, 0, 67, 0];
     file.extend([1; 64]);
@@ -371,7 +371,7 @@ pub(super) fn streamed_sog() -> Vec<Vec<u8>> {
     vec![text.as_bytes().to_vec()]
 }
 
-/// Text of two Gaussians in time, with features and without turns.
+/// Text of two Gaussians in time, with features and without rotation over time.
 pub(super) fn spacetime() -> Vec<Vec<u8>> {
     let still =
         "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3 trbf_center trbf_scale";
@@ -390,7 +390,7 @@ pub(super) fn spacetime() -> Vec<Vec<u8>> {
 
 pub(super) fn gltf() -> Vec<Vec<u8>> {
     let file = export::still::glb(&still(1));
-    // Below a node that moves, turns and scales.
+    // Below a node with translation, rotation and scale.
     let plain = export::still::glb(&still(0));
     let length = plain[12..].first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
     let node = r#"{"mesh":0,"translation":[1,2,3],"rotation":[0,0.6,0,0.8],"scale":[2,2,2]}"#;
@@ -418,7 +418,7 @@ pub(super) fn sog() -> Vec<Vec<u8>> {
 pub(super) fn spz() -> Vec<Vec<u8>> {
     let mut files: Vec<Vec<u8>> = (0..=3).map(|degree| export::still::spz(&still(degree))).collect();
     // Versions 2 and 3, whose attributes follow the header in one gzip stream: here in stored blocks, so that mutations
-    // reach them.
+    // can change them.
     for (version, bytes) in [(2_u32, 19), (3, 20)] {
         let attributes: Vec<u8> = (0..3 * bytes).map(|i| (i * 53 % 251) as u8).collect();
         let content =
@@ -428,7 +428,7 @@ pub(super) fn spz() -> Vec<Vec<u8>> {
     files
 }
 
-/// A gzip file whose one block is stored.
+/// A gzip file of one stored block.
 fn gzip_stored(content: &[u8]) -> Vec<u8> {
     let len = content.len() as u16;
     let crc = content.iter().fold(u32::MAX, |crc, byte| {

@@ -26,7 +26,7 @@ static WORKERS: LazyLock<[Workers; 2]> =
 /// Pixels of an image that is drawn for a test.
 const FEW: usize = 1 << 12;
 
-/// A safetensors file as a model: every tensor is read, the sizes are derived, the cost is counted.
+/// A safetensors file as a model: reads every tensor, derives the sizes and counts the cost.
 pub(super) fn checkpoint(bytes: &[u8]) {
     let Ok(checkpoint) = Checkpoint::from_storage(bytes.to_vec(), "fuzz") else { return };
     for (name, info) in checkpoint.tensors() {
@@ -63,7 +63,7 @@ pub(super) fn interval(bytes: &[u8]) {
         statistics: true,
         ..RenderOptions::default()
     };
-    // Halves of the smallest numbers are nothing.
+    // Halves of the smallest numbers are zero.
     let middle = (0.5 * interval.start + 0.5 * interval.end).clamp(interval.start, interval.end);
     for time in [interval.start, middle, interval.end] {
         let a = interval.render(time, &Camera::Canonical, &options, low).expect("inside the interval");
@@ -80,8 +80,8 @@ pub(super) fn scene_index(bytes: &[u8]) {
     }
 }
 
-/// A camera or a path of cameras, and their images of a scene; or cameras of another program: JSON, or the two files of
-/// a COLMAP or four files of a COLMAP model with `%%` between them.
+/// A camera or a path of cameras, and their images of a scene; or cameras of another program: JSON, or the two or four
+/// files of a COLMAP model with `%%` between them.
 pub(super) fn camera(bytes: &[u8]) {
     if let Some(files) = colmap(bytes) {
         [set::colmap::text(&files), set::colmap::binary(&files)].iter().flatten().for_each(assert_usable);
@@ -121,7 +121,7 @@ fn cut(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
     }
 }
 
-/// Asserts that each camera of a set is usable or an error, and is found by its number.
+/// Asserts that each camera of a set is usable or an error, and that its number finds it.
 fn assert_usable(found: &CameraSet) {
     assert!(!found.cameras.is_empty());
     for (i, named) in found.cameras.iter().enumerate() {
@@ -140,7 +140,7 @@ pub(super) fn y4m(bytes: &[u8]) {
     }
 }
 
-/// An image of any kind. TGA has no signature: what no other decoder claims is tried as one.
+/// An image of any kind. TGA has no signature: bytes that no other decoder claims are tried as TGA.
 pub(super) fn image(bytes: &[u8]) {
     if let Ok(picture) = decode::decode(bytes, Path::new("fuzz.tga")) {
         assert_eq!(picture.rgb.len(), 3 * picture.width * picture.height);
@@ -218,7 +218,7 @@ pub(super) fn ksplat(bytes: &[u8]) {
     draw_still(still);
 }
 
-/// The index of a streamed SOG scene: no level is of more Gaussians than the limits allow.
+/// The index of a streamed SOG scene: no level has more Gaussians than the limits allow.
 pub(super) fn streamed_sog(bytes: &[u8]) {
     let limits = import::Limits::default();
     for level in 0..3 {
@@ -230,7 +230,7 @@ pub(super) fn streamed_sog(bytes: &[u8]) {
     }
 }
 
-/// A PLY file of Gaussians in time, at several of them.
+/// A PLY file of Gaussians in time, at several times.
 pub(super) fn spacetime(bytes: &[u8]) {
     let Ok(scene) = import::spacetime(bytes, &import::Limits::default()) else { return };
     for time in [-1e300, 0.0, 0.5] {
@@ -277,7 +277,7 @@ pub(super) fn container(bytes: &[u8]) {
     }
 }
 
-/// Both images have the same bits, and no value that is not finite.
+/// Asserts that both images have the same bits and only finite values.
 fn assert_same_finite(a: &Image, b: &Image) {
     let planes = |image: &Image| {
         let optional = [&image.depth, &image.alpha, &image.final_t].into_iter().flatten().flatten();

@@ -1,6 +1,6 @@
-//! The whole network once more, plain and in binary64: what the fast one is compared with.
+//! The whole network in plain binary64, as a reference for the fast one.
 //!
-//! Every function is the formula of its operation, and every sum is taken in the order of its index: nothing is fused.
+//! Every function is the formula of its operation. Every sum is taken in index order, and nothing is fused.
 
 mod dino;
 mod network;
@@ -20,7 +20,7 @@ pub type Outputs = BTreeMap<String, Vec<f64>>;
 pub struct Tensors(BTreeMap<String, (Vec<usize>, Vec<f64>)>);
 
 impl Tensors {
-    /// Everything in the checkpoint that can be read as f32.
+    /// Reads all tensors of the checkpoint that can be read as f32.
     ///
     /// # Panics
     /// When a tensor cannot be read.
@@ -37,7 +37,7 @@ impl Tensors {
     /// The values of a tensor.
     ///
     /// # Panics
-    /// When it is not there.
+    /// When the tensor is missing.
     pub fn get(&self, name: &str) -> &[f64] {
         &self.0.get(name).unwrap_or_else(|| panic!("tensor {name}")).1
     }
@@ -45,17 +45,17 @@ impl Tensors {
     /// The shape of a tensor.
     ///
     /// # Panics
-    /// When it is not there.
+    /// When the tensor is missing.
     pub fn shape(&self, name: &str) -> &[usize] {
         &self.0.get(name).unwrap_or_else(|| panic!("tensor {name}")).0
     }
 
-    /// Returns true if a tensor is there.
+    /// Returns true if the tensor exists.
     pub fn has(&self, name: &str) -> bool {
         self.0.contains_key(name)
     }
 
-    /// How many consecutive `stem.0.leaf`, `stem.1.leaf`, … there are.
+    /// Number of consecutive `stem.0.leaf`, `stem.1.leaf`, ….
     pub fn count(&self, stem: &str, leaf: &str) -> usize {
         (0..).take_while(|i| self.has(&format!("{stem}.{i}.{leaf}"))).count()
     }

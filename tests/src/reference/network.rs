@@ -102,7 +102,8 @@ fn block(t: &Tensors, name: &str, x: &mut [f64], d: usize, window: Option<usize>
     add(x, &feed_forward(t, &format!("{name}.mlp"), &y));
 }
 
-/// Twice: a linear layer to four times the channels, these spread over 2×2 sub-tokens, a pair of window blocks.
+/// Two stages, each with a linear layer to four times the channels, their spread over 2×2 sub-tokens, and a pair of
+/// window blocks.
 fn upsample(t: &Tensors, name: &str, sizes: Sizes, h: &[f64]) -> Vec<f64> {
     let p = t.shape("gs_predictor.encoder.transformer_encoder.conv.weight")[2];
     let [mut rows, mut columns] = sizes.resolution.map(|side| side / p);

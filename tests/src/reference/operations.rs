@@ -7,8 +7,8 @@ use super::Tensors;
 /// Rows and columns of a tile of [`linear`].
 const TILE: usize = 4;
 
-/// `x · wᵀ + bias` for `x [m,k]`, `w [n,k]`; each sum in ascending order of `k`. Tiles of rows and columns are taken
-/// together.
+/// `x · wᵀ + bias` for `x [m,k]`, `w [n,k]`; each sum in ascending order of `k`. Rows and columns are computed in
+/// tiles.
 pub fn linear(x: &[f64], w: &[f64], bias: Option<&[f64]>, k: usize) -> Vec<f64> {
     let (m, n) = (x.len() / k, w.len() / k);
     let tiles = |rows: &[f64], count: usize| -> Vec<f64> {
@@ -111,7 +111,7 @@ pub fn columns(x: &[f64], stride: usize, from: usize, width: usize) -> Vec<f64> 
     x.chunks(stride).flat_map(|row| row[from..from + width].iter().copied()).collect()
 }
 
-/// Self-attention of the module `name`; with a window inside consecutive runs of tokens, after rolling forward by
+/// Self-attention of the module `name`; with a window, inside consecutive runs of tokens after rolling forward by
 /// `roll`.
 pub fn self_attention(t: &Tensors, name: &str, x: &[f64], d: usize, window: Option<usize>, roll: usize) -> Vec<f64> {
     let qkv = layer(t, &format!("{name}.packed_proj"), x);

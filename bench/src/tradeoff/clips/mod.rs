@@ -2,8 +2,8 @@
 //! around them.
 //!
 //! Every row is one run of `streamsplat eval` on all clips, with the options that it names. *Seen* rows have the frames
-//! between key frames as input, the others do not: the two kinds are never compared. From the record come the table of
-//! a page and a plot, which `--record` makes again without measuring.
+//! between key frames as input, the others do not; the two kinds are never compared. The record yields the table of a
+//! page and a plot, which `--record` writes again without measuring.
 
 mod page;
 mod plot;
@@ -22,7 +22,7 @@ use super::Options;
 use super::front::front;
 use crate::machine::cpu;
 
-/// By how many dB a higher quality may be worse on a clip.
+/// Loss in dB that is allowed for a higher quality on a clip.
 const TOLERANCE: f64 = 0.05;
 
 /// Measurements of a folder of clips.
@@ -44,11 +44,11 @@ struct Baselines {
     flow: f64,
 }
 
-/// Why a row is there.
+/// Reason for a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Reason {
-    /// One option after the other, each on top of those before.
+    /// One option after the other, each in addition to those before.
     Step,
     Quality,
     Grid,
@@ -67,9 +67,9 @@ struct Configuration {
     /// Decibels over the cross-fade between key frames, means over moving and over still clips.
     moving: Option<f64>,
     still: Option<f64>,
-    /// In the engine, per input frame.
+    /// Time in the engine, per input frame.
     seconds_per_frame: f64,
-    /// True if nothing that sees as much takes less time and is as close to all frames.
+    /// True if no row with the same input is at least as close to all frames in less time.
     pareto: bool,
     by_clip: BTreeMap<String, Clip>,
 }
@@ -131,7 +131,7 @@ fn measure(options: &Options, clips: &Path) -> Result<Record> {
         let figures: Value = serde_json::from_slice(&text).context("the figures of eval")?;
         let row = Configuration::read(name, kind, arguments, &figures).context("the figures of eval")?;
         println!("{:>7.1} ms  {:.2} dB  {}", 1e3 * row.seconds_per_frame, row.all, row.row);
-        // Flow is that of the model's input, so its blend depends on the resolution.
+        // Flow is computed on the model's input, so its blend depends on the resolution.
         if kind == Reason::Step && !row.arguments.iter().any(|word| word == "native") {
             let mean = |name: &str| figures["mean"]["baselines"][name]["psnr"].as_f64();
             baselines = mean("crossfade").zip(mean("flow")).map(|(crossfade, flow)| Baselines { crossfade, flow });
@@ -158,7 +158,7 @@ fn measure(options: &Options, clips: &Path) -> Result<Record> {
 }
 
 impl Configuration {
-    /// From the output of `eval`.
+    /// Reads the output of `eval`.
     fn read(row: String, kind: Reason, arguments: Vec<String>, figures: &Value) -> Option<Configuration> {
         let score = |value: &Value| Some((value["psnr"].as_f64()?, value["frames"].as_f64()?));
         let all = |row: &Value| {
@@ -211,7 +211,7 @@ impl Record {
     }
 }
 
-/// Both options that need the other's input.
+/// Checks options that need the other kind of input.
 pub(super) fn check(options: &Options) -> Result<()> {
     if options.page.is_some() || options.record.is_some() {
         bail!("--page and --record: expected a folder of clips as well");

@@ -73,7 +73,7 @@ mod tests {
         assert_eq!(with_table(&page, &table(&record)).expect("a place for the table"), page);
         let plot = std::fs::read_to_string(root.join("docs/tradeoff.svg")).expect("a plot");
         assert_eq!(super::super::plot::svg(&record).expect("a plot"), plot);
-        // Another figure is another page.
+        // Another figure changes the page.
         let other = table(&record).replacen("2", "3", 1);
         assert_ne!(with_table(&page, &other).expect("a place for the table"), page);
     }

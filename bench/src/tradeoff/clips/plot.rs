@@ -1,4 +1,4 @@
-//! Closeness over time: what sees the frames between key frames, and what does not.
+//! Closeness over time: rows with the frames between key frames as input, and rows without.
 
 use anyhow::Result;
 use plotters::prelude::*;
@@ -52,7 +52,7 @@ fn panel(area: &Area<'_>, rows: &[&Configuration], gaps: &[String], title: &str)
     chart
         .draw_series(std::iter::once(PathElement::new(steps.collect::<Vec<_>>(), FRONT.stroke_width(2))))
         .map_err(fail)?;
-    // The chart speaks in pixels of the whole picture.
+    // The chart uses pixels of the whole picture.
     let (left, top) = area.get_base_pixel();
     for row in rows {
         let (x, y) = chart.backend_coord(&(milliseconds(row), row.all));

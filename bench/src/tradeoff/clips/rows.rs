@@ -2,7 +2,7 @@
 
 use super::Reason;
 
-/// The paper's way: one pass of the network at its own size.
+/// The paper's method: one pass of the network at its own size.
 const PAPER: &str = "--resolution native --motion network --refine 0";
 
 /// One option after the other.

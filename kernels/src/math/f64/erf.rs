@@ -81,7 +81,7 @@ pub fn erf(x: f64) -> f64 {
     if a <= 0.85 {
         near(x)
     } else {
-        // NaN takes this way, and stays.
+        // NaN takes this branch and stays NaN.
         (1.0 - if a.is_nan() { a } else { tail(a) }).copysign(x)
     }
 }

@@ -1,7 +1,8 @@
 //! Elementary functions in binary64 without a C library: for tables, for sampling, and as references of the binary32
 //! functions.
 //!
-//! Made of +, −, ×, / and square roots in binary64, none of them fused, and integers; the same bits on every machine.
+//! They consist of +, −, ×, / and square roots in binary64, none of them fused, and integer operations: the same bits
+//! on every machine.
 //!
 //! Largest error seen over 3,000 random arguments per range, in units of the last place, against mpmath at 160 bits:
 //!

@@ -51,7 +51,7 @@ fn reduce(x: f64) -> (u32, f64, f64) {
     let middle = mantissa * u128::from(window(start, 1)) + (low >> 64);
     let high = (mantissa * u128::from(window(start, 0)) + (middle >> 64)) as u64;
     let (middle, low) = (middle as u64, low as u64);
-    // The quadrant is the nearest integer; what remains is a signed fraction.
+    // The quadrant is the nearest integer; the rest is a signed fraction.
     let quadrant = (high >> 62) as u32 + (high >> 61 & 1) as u32;
     let fraction = [high << 2 | middle >> 62, middle << 2 | low >> 62, low << 2];
     let negative = fraction[0] >> 63 == 1;
@@ -90,7 +90,7 @@ fn sin_kernel(r: f64, c: f64) -> f64 {
     r + (z * r * series + c * (1.0 - 0.5 * z))
 }
 
-/// cos(r + c) on |r| ≤ π/4: Taylor's series up to r¹⁸; 1 − r²/2 with what its rounding lost.
+/// cos(r + c) on |r| ≤ π/4: Taylor's series up to r¹⁸; 1 − r²/2 with its rounding error.
 fn cos_kernel(r: f64, c: f64) -> f64 {
     let z = r * r;
     let series = polynomial(

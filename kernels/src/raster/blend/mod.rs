@@ -18,7 +18,7 @@ pub(super) use walk::{BLOCKS, Block, Hit, Lanes, Shape, Sink, Transmittance, Wal
 /// Colour of 4×4 pixels.
 type Rgb = [Lanes; 3];
 
-/// Further values drawn for a block's pixels.
+/// Depth and count of a block's pixels.
 #[derive(Clone, Debug)]
 struct Extra {
     depth: Lanes,
@@ -47,7 +47,7 @@ pub(super) struct Tally {
     pub blend: Duration,
 }
 
-/// Where a drawn tile goes.
+/// Destination of a drawn tile.
 pub(super) struct Planes<'a> {
     pub background: [f32; 3],
     pub rgb: Disjoint<'a, f32>,
@@ -158,7 +158,7 @@ impl DrawTile<'_> {
     }
 }
 
-/// Writes the pixels of a block that lie in the image.
+/// Writes the pixels of a block that are in the image.
 #[inline(always)]
 pub(super) fn put_block<T: Copy>(
     to: &Disjoint<'_, T>,

@@ -8,7 +8,7 @@ use super::tables::{PIXELS, Pixels, fours};
 use crate::math::f64::sin_cos;
 use crate::simd::{LANES, Simd};
 
-/// Directions of a tile's columns and rows, and what of a splat's footprint falls to each.
+/// Directions of a tile's columns and rows, and the contribution of each to a splat's exponents.
 ///
 /// The pixel (u, v) is seen along `d = (cos φ·sin λ, sin φ, cos φ·cos λ)` with `λ = 2π·((u + ½)/W − ½)` and `φ = π·((v
 /// + ½)/H − ½)`. With n, e and s of the splat (`project/sphere.rs`), `a = p·(e − k·s)` and `b = q·s`, rounded to
@@ -68,8 +68,8 @@ impl Sphere {
         {
             let mut at = columns[0] * BLOCK;
             while at < columns[1] * BLOCK {
-                // The mask does not change the index. It lets the compiler drop bounds checks: a vector from there ends
-                // inside the arrays.
+                // The mask does not change the index. With it the compiler drops bounds checks: a vector from there
+                // ends inside the arrays.
                 let from = at & (PIXELS - LANES - 1);
                 let level = s.mul(s.splat(z), s.load(&cos[from..]));
                 s.store(s.mul_add(s.splat(x), s.load(&sin[from..]), level), &mut across[from..]);

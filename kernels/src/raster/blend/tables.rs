@@ -61,7 +61,7 @@ pub(super) fn factors<S: Simd>(
     let (whole, rest, scale) = (s.splat(centre[0]), s.splat(centre[1]), s.splat(scale));
     let mut at = span[0] * BLOCK;
     while at < span[1] * BLOCK {
-        // Changes no value; with it the compiler can prove that a vector from there on ends in the arrays.
+        // The mask changes no value. With it the compiler can prove that a vector from there on ends in the arrays.
         let from = at & (PIXELS - LANES - 1);
         let t = s.mul(scale, s.sub(s.sub(s.load(&pixels[from..]), whole), rest));
         s.store(s.mul(s.splat(factor), exp2_negative(s, s.mul(t, t))), &mut to[from..]);
@@ -109,8 +109,8 @@ pub(super) fn strips<S: Simd>(
     (s.to_array_i32(s.to_i32(first)), s.to_array_i32(s.to_i32(last)))
 }
 
-/// Coordinates of a tile's pixels, and what a splat's lanes are made of, by column and by row of pixels; with a vector
-/// to spare.
+/// Coordinates of a tile's pixels, and the factors of a splat's lanes, by column and by row of pixels; with a vector to
+/// spare.
 pub(super) struct Tables {
     pub(super) columns: Pixels,
     pub(super) rows: Pixels,

@@ -1,4 +1,4 @@
-//! The weights `α·T` of a tile's splats, front to back, and what takes them.
+//! The weights `α·T` of a tile's splats, front to back, and their receiver.
 
 use super::super::bin::{TILE, around};
 use super::super::falloff::Cut;
@@ -27,8 +27,8 @@ impl Lanes {
     pub(in super::super) const ZERO: Self = Self([0.0; LANES]);
 }
 
-/// A block of a tile, counted row by row. An index of it lies in an array of [`BLOCKS`] values by the mask, so that the
-/// compiler leaves out the check.
+/// A block of a tile, counted row by row. Masking its index makes the compiler drop the bounds check in arrays of
+/// [`BLOCKS`] values.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Block(usize);
 
@@ -48,16 +48,16 @@ impl Block {
 /// Transmittance of a tile's pixels.
 #[derive(Debug, Default)]
 pub(in super::super) struct Transmittance {
-    /// Zero where the pixel is finished.
+    /// Transmittance so far; zero where the pixel is finished.
     left: Vec<Lanes>,
-    /// With which a pixel was finished.
+    /// Transmittance with which a pixel was finished.
     finished: Vec<Lanes>,
     /// Finished pixels of each block.
     done: Vec<u16>,
 }
 
 impl Transmittance {
-    /// 1 inside an image of `width`×`height` pixels; pixels outside are finished from the start.
+    /// Sets 1 inside an image of `width`×`height` pixels; pixels outside are finished from the start.
     #[inline(always)]
     fn clear(&mut self, [column, row]: [usize; 2], [width, height]: [usize; 2]) {
         self.left.clear();
@@ -111,17 +111,17 @@ pub(in super::super) trait Sink<S: Simd> {
     const GEOMETRY: bool = false;
     /// Values of a splat, kept while its blocks are visited.
     type Paint;
-    /// A splat whose blocks are visited next; `entry` is its place in the list.
+    /// Called with the splat whose blocks are visited next; `entry` is its entry in the list.
     fn begin(&mut self, s: S, splat: &Splat, entry: &Entry) -> Self::Paint;
     /// [`Sink::add`], with all of the hit.
     #[inline(always)]
     fn hit(&mut self, s: S, at: Block, hit: &Hit<S>, paint: &Self::Paint) {
         self.add(s, at, hit.weight, paint);
     }
-    /// Weights of the splat on the block `at`: `α·T`, zero where it is not drawn. A block comes once at most between
-    /// [`Sink::begin`] and [`Sink::end`], which alternate.
+    /// Weights of the splat on the block `at`: `α·T`, zero where it is not drawn. A block is passed at most once
+    /// between [`Sink::begin`] and [`Sink::end`], which alternate.
     fn add(&mut self, s: S, at: Block, weight: S::F32, paint: &Self::Paint);
-    /// The splat has no other blocks; `entry` is its place in the list.
+    /// Called after the splat's last block; `entry` is its entry in the list.
     fn end(&mut self, entry: &Entry) {
         let _ = entry;
     }
@@ -131,7 +131,7 @@ pub(in super::super) trait Sink<S: Simd> {
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Shape {
     pub form: Form,
-    /// Where they end.
+    /// Ends of footprints.
     pub cut: Cut,
 }
 
@@ -144,7 +144,7 @@ impl Shape {
     }
 }
 
-/// A tile's list and where it lies.
+/// A tile's list and its position.
 #[derive(Clone, Copy)]
 pub(in super::super) struct Walk<'a> {
     pub splats: &'a [Splat],
@@ -166,7 +166,7 @@ pub(in super::super) struct Walked {
     pub unseen: u64,
 }
 
-/// The blocks of a footprint's box that lie in a tile, first and end, counted from the tile's first.
+/// The blocks of a footprint's box that are in a tile, first and end, counted from the tile's first.
 ///
 /// [`BlockBox::new`] keeps `first ≤ end ≤ TILE` on both axes for any footprint record and tile.
 #[derive(Clone, Copy)]
@@ -299,7 +299,7 @@ struct Canvas<'a> {
 }
 
 impl<'a> Canvas<'a> {
-    /// `light` was cleared for a tile.
+    /// The canvas of a tile for which `light` was cleared.
     #[inline(always)]
     fn new(light: &'a mut Transmittance, cut: Cut) -> Self {
         let open = light.done.iter().filter(|&&done| done != ALL).count();
@@ -451,8 +451,8 @@ impl<'a> Canvas<'a> {
         self.done[at.index()] == ALL
     }
 
-    /// Weights of one splat on the blocks `columns` (first and end) of a row, separably. No row comes twice between
-    /// [`Sink::begin`] and [`Sink::end`].
+    /// Weights of one splat on the blocks `columns` (first and end) of a row, separably. No row is visited twice
+    /// between [`Sink::begin`] and [`Sink::end`].
     #[inline(always)]
     fn walk_row<S: Simd, K: Sink<S>>(
         &mut self,
@@ -511,8 +511,8 @@ impl<'a> Canvas<'a> {
     }
 }
 
-/// Finishes the pixels of `below`: keeps their transmittance apart and sets this splat's weight on them to 0.
-/// True when the block has no other pixels.
+/// Finishes the pixels of `below`: stores their transmittance in `finished` and sets this splat's weight on them to 0.
+/// Returns true when all pixels of the block are finished.
 #[cold]
 #[inline(never)]
 fn finish(

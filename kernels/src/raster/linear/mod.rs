@@ -6,20 +6,20 @@
 //! image = A·c + B + T·background      A[p, i] = α_ip·T_ip      T[p] = light left behind all Gaussians
 //! ```
 //!
-//! B is 0 but for maps [`ColourMap::from_weight`]: there a Gaussian whose weights on a block of 4×4 pixels are all
-//! below the least one is no part of A on it, and B is what such Gaussians add in the colours with which the map was
+//! B is 0 except for maps [`ColourMap::from_weight`]. There A omits a Gaussian on a block of 4×4 pixels where all its
+//! weights are below the least one. B is the sum of the omitted Gaussians, in the colours with which the map was
 //! prepared.
 //!
-//! The weights A are those of the blend, by the same code, rounded to 8 bits: for each Gaussian and block of 4×4 pixels
-//! there is a unit u, the smallest power of two (at least 2⁻¹⁶) with its largest weight there below 256·u, and A is
-//! `min(⌊α·T / u + ½⌋, 255)·u` (the quotient and sum fused). Where α is below 1/255, and behind a finished pixel, a
-//! Gaussian has weight 0. An image of the map is therefore within `½·Σ u·|c|` over a pixel's Gaussians of the
-//! rasteriser's (`u` instead of `½·u` where a weight is 255 units). B is made of weights that are not rounded.
+//! The weights A are those of the blend, by the same code, rounded to 8 bits. Each Gaussian has a unit u on each block
+//! of 4×4 pixels: the smallest power of two (at least 2⁻¹⁶) with its largest weight there below 256·u. A is `min(⌊α·T /
+//! u + ½⌋, 255)·u` (the quotient and sum fused). Where α is below 1/255, and behind a finished pixel, a Gaussian has
+//! weight 0. An image of the map is therefore within `½·Σ u·|c|` over a pixel's Gaussians of the rasteriser's (`u`
+//! instead of `½·u` where a weight is 255 units). The weights of B are not rounded.
 //!
 //! # Order of operations
 //!
 //! Everything is binary32. A pixel of `A·c` and one of B are summed front to back, one fused multiply-add per Gaussian;
-//! `T·background` is added to the first (fused), then B. A sum over pixels (the adjoint) is made in three steps:
+//! `T·background` is added to the first (fused), then B. A sum over pixels (the adjoint) has three steps:
 //!
 //! 1. on each of the 16 lanes of a block of 4×4 pixels, over those blocks of a tile on which the Gaussian has a weight,
 //!    row-major, a fused multiply-add each, from +0;
@@ -65,8 +65,8 @@ const MERGED: usize = 4096;
 
 /// The linear map from colours to pixels of one scene, seen by one camera.
 ///
-/// [`ColourMap::prepare`] projects, bins, sorts and walks the lists once; after it any number of colours or images
-/// can be taken through the map and its transpose. Before the first it is that of no Gaussians onto no pixels.
+/// [`ColourMap::prepare`] projects, bins, sorts and walks the lists once. Afterwards any number of colours or images
+/// can be taken through the map and its transpose. Before the first call it maps no Gaussians onto no pixels.
 ///
 /// All methods run on the current rayon pool. Their results are the same for every level and number of threads.
 #[derive(Debug)]
@@ -82,22 +82,22 @@ pub struct ColourMap {
     tiles: Vec<Tile>,
     /// Tiles that are not left out, most hits first.
     order: Vec<u32>,
-    /// Where the splats of each tile's record start in `slots`; one more than tiles.
+    /// Start of the splats of each tile's record in `slots`; one more than tiles.
     starts: Vec<usize>,
-    /// Where the sums of each splat of each tile go: Gaussian by Gaussian, tiles ascending.
+    /// Destination of the sums of each splat of each tile: Gaussian by Gaussian, tiles ascending.
     slots: Vec<u32>,
-    /// Where the sums of each Gaussian start; one more than Gaussians.
+    /// Start of the sums of each Gaussian; one more than Gaussians.
     offsets: Vec<u32>,
     spare: Mutex<Spare>,
 }
 
-/// Memory in which maps are prepared one after another: projected Gaussians and the tiles' lists, which a map that
-/// keeps all its weights needs no longer.
+/// Memory in which maps are prepared one after another: projected Gaussians and the tiles' lists. A map that keeps all
+/// its weights no longer needs them.
 #[derive(Debug)]
 pub struct Preparation(Rasteriser);
 
 impl Preparation {
-    /// Memory that holds nothing yet, for maps on `level`.
+    /// Empty memory for maps on `level`.
     pub fn new(level: Level) -> Self {
         Self(Rasteriser::new(level))
     }
@@ -107,7 +107,7 @@ impl Preparation {
 #[derive(Debug, Default)]
 struct Tile {
     record: Record,
-    /// True if the record holds weights; otherwise they are made anew where they are needed.
+    /// True if the record holds weights; otherwise they are recomputed where they are needed.
     kept: bool,
 }
 
@@ -141,8 +141,8 @@ impl ColourMap {
         Self::with_budget(level, WEIGHT_BYTES)
     }
 
-    /// A map that keeps about `bytes` of weights (18 for a Gaussian and a block of 4×4 pixels) between calls; the
-    /// others are made anew in every call, to the same bits.
+    /// A map that keeps about `bytes` of weights (18 for a Gaussian and a block of 4×4 pixels) between calls. The
+    /// others are recomputed in every call, to the same bits.
     pub fn with_budget(level: Level, bytes: usize) -> Self {
         Self {
             level,
@@ -161,9 +161,8 @@ impl ColourMap {
         }
     }
 
-    /// The map without what hardly shows: the weights of a Gaussian on a block of 4×4 pixels are left out where all of
-    /// them are below `weight`. What they add in the colours with which the map is prepared is the constant B of its
-    /// images.
+    /// Leaves out small weights: those of a Gaussian on a block of 4×4 pixels where all of them are below `weight`.
+    /// Their sum in the colours with which the map is prepared is the constant B of its images.
     #[must_use]
     pub fn from_weight(self, weight: f32) -> Self {
         Self { least: weight, ..self }
@@ -173,13 +172,13 @@ impl ColourMap {
     /// is ignored and may be empty.
     ///
     /// # Panics
-    /// As [`super::render`], colours aside.
+    /// As [`super::render`], except for colours.
     pub fn prepare(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, size: [usize; 2]) {
         self.prepare_tiles(gaussians, projection, size, |_| true);
     }
 
-    /// [`ColourMap::prepare_tiles`] in memory that other maps are prepared in as well, to the same bits. A map that
-    /// cannot keep all its weights keeps the memory.
+    /// [`ColourMap::prepare_tiles`] in memory shared with other maps, to the same bits. A map that cannot keep all its
+    /// weights keeps the memory.
     ///
     /// # Panics
     /// As [`ColourMap::prepare`].
@@ -334,8 +333,8 @@ impl ColourMap {
         assert_eq!(image.len(), 3 * width * height, "three planes of {width}×{height} pixels");
     }
 
-    /// `image = A·colours + B + T·background`, `[3, H, W]`: [`super::render`]'s image of the Gaussians with these
-    /// colours but for the rounding of the weights, when colours are finite.
+    /// `image = A·colours + B + T·background`, `[3, H, W]`. Where colours are finite it is [`super::render`]'s image of
+    /// the Gaussians with these colours, apart from the rounding of the weights.
     ///
     /// # Panics
     /// When there is not one colour per Gaussian, or `image` is not of the map's size.
@@ -426,11 +425,11 @@ impl ColourMap {
         self.residual_adjoint_tiles(colours, background, target, sums, &mut vec![0.0; self.grid.len()])
     }
 
-    /// [`ColourMap::residual_adjoint`] that leaves the sum of squares of each tile in `squares`, 0 for tiles that are
-    /// left out.
+    /// [`ColourMap::residual_adjoint`] that also writes the sum of squares of each tile to `squares`, 0 for tiles that
+    /// are left out.
     ///
-    /// The squares are summed in binary64: on each lane over the blocks of the tile, row-major, and the channels of
-    /// each; the lanes folded `i` with `i+8`, `i+4`, `i+2`, `i+1`; the tiles in ascending order.
+    /// The squares are summed in binary64. Each lane adds them over the blocks of the tile, row-major, and the channels
+    /// of each block. The lanes are folded `i` with `i+8`, `i+4`, `i+2`, `i+1`; the tiles are added in ascending order.
     ///
     /// # Panics
     /// As [`ColourMap::residual_adjoint`], and when there is not one of `squares` per tile.

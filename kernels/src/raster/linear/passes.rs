@@ -11,8 +11,8 @@ use crate::simd::{LANES, Operation, Simd};
 /// Channels of a tile's blocks.
 pub(super) type Pixels<const C: usize> = [[Lanes; C]; BLOCKS];
 
-/// A block's pixels in channel `c`: what its hits have added up to, the background behind them, and what is below the
-/// least weight.
+/// A block's pixels in channel `c`: the sum of its hits, the background behind them, and the sum of the weights below
+/// the least.
 #[inline(always)]
 fn whole<S: Simd>(s: S, record: &Record, block: usize, c: usize, sum: &Lanes, background: f32) -> S::F32 {
     let value = s.mul_add(s.load(&record.light[block].0), s.splat(background), s.load(&sum.0));
@@ -22,14 +22,14 @@ fn whole<S: Simd>(s: S, record: &Record, block: usize, c: usize, sum: &Lanes, ba
     }
 }
 
-/// Where a tile lies: its column and row in the grid, width and height of the image.
+/// Position of a tile: its column and row in the grid, width and height of the image.
 #[derive(Clone, Copy)]
 pub(super) struct Place {
     pub tile: [usize; 2],
     pub size: [usize; 2],
 }
 
-/// Where a tile's sums go: those of its splat `at` behind one another at `slots[at]`.
+/// Destination of a tile's sums: those of its splat `at` are contiguous at `slots[at]`.
 #[derive(Clone, Copy)]
 pub(super) struct Slots<'a> {
     pub slots: &'a [u32],
@@ -42,15 +42,15 @@ fn finite<S: Simd>(s: S, value: S::F32) -> S::F32 {
     s.keep(s.eq(s.sub(value, value), s.splat(0.0)), value)
 }
 
-/// Splats between a colour's use and the request that brings it near.
+/// Splats between the prefetch of a colour and its use.
 const AHEAD: usize = 12;
 
 /// The colours of a tile's splats.
 pub(super) trait Paint<const C: usize> {
-    /// The value of splat `at` of the record, a view of `gaussian`.
+    /// The value of splat `at` of the record, which belongs to `gaussian`.
     fn of(&self, at: usize, gaussian: u32) -> [f32; C];
 
-    /// Asks for the colour of splat `at`, if there is one.
+    /// Prefetches the colour of splat `at`, if there is one.
     fn prefetch(&self, at: usize);
 }
 

@@ -1,4 +1,4 @@
-//! Preparation, made once for a scene: the record of each tile, and where the sums of its splats go.
+//! Preparation, done once for a scene: the record of each tile, and the destination of its splats' sums.
 
 #![expect(unsafe_code, reason = "tasks sort lists of one array and fill records of another")]
 

@@ -18,7 +18,8 @@ const MOST: f32 = 255.0;
 /// Unit of the stored weights of a hit, a power of two: the biased exponent of its binary32.
 ///
 /// An image of stored weights differs from that of the blend by half a unit per Gaussian and pixel (a whole one where a
-/// weight would be 256 units); little more than a quarter of the memory of binary32 is read in each step of a fit.
+/// weight would be 256 units). Each step of a fit reads little more than a quarter of the memory that binary32 would
+/// take.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Unit(u8);
 
@@ -55,8 +56,7 @@ pub(super) struct Record {
     pub units: Vec<Unit>,
     /// Transmittance behind all splats, one value per block; zero outside the image.
     pub light: Vec<Lanes>,
-    /// Red, green and blue of what is below the least weight, one value per block; empty where there is no least
-    /// weight.
+    /// Red, green and blue of the weights below the least, one value per block; empty where there is no least weight.
     pub rest: Vec<[Lanes; 3]>,
 }
 

@@ -62,18 +62,19 @@ pub struct ColourFit<'a> {
     order: Vec<[u32; 2]>,
     /// Tasks that are left out.
     left_out: Vec<[u32; 2]>,
-    /// Where the sums of each view start, in slots; one more than views.
+    /// Start of the sums of each view, in slots; one more than views.
     starts: Vec<usize>,
 }
 
-/// How much [`ColourFit::solve`] does.
+/// Limits of [`ColourFit::solve`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Effort {
     /// Steps at most.
     pub steps: u32,
-    /// The last step is one that lowers the sum of squares by less than this fraction of the rest.
+    /// Stops after a step that lowers the sum of squares by less than this fraction of the remaining sum.
     pub enough: f64,
-    /// Mean square over pixels and channels up to which a tile of a view is left out, where it stays so in all views.
+    /// Mean square over pixels and channels up to which a tile counts as close. A tile is left out where it is close in
+    /// all views.
     pub close: f64,
 }
 
@@ -94,7 +95,7 @@ struct Splats {
     factor: Vec<f32>,
 }
 
-/// The same of one tile.
+/// [`Splats`] of one tile.
 #[derive(Clone, Copy)]
 struct TileSplats<'a> {
     unknown: &'a [u32],
@@ -188,8 +189,8 @@ impl<'a> ColourFit<'a> {
     /// The problem of `unknowns` colours seen in `views`, with `ridge` for λ.
     ///
     /// # Panics
-    /// When a view has not one unknown per Gaussian of its map, or neither none nor one factor; when unknowns do not
-    /// ascend to less than `unknowns`.
+    /// When a view does not have one unknown per Gaussian of its map, or has factors but not one per unknown. When
+    /// unknowns are not strictly ascending and below `unknowns`.
     pub fn new(level: Level, views: Vec<FitView<'a>>, unknowns: usize, ridge: f32) -> Self {
         let mut starts = vec![0];
         for FitView { map, unknown, factor } in &views {

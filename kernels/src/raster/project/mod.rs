@@ -1,4 +1,4 @@
-//! From Gaussians in view space to what the blend needs of them, sixteen at a time.
+//! Projection of Gaussians in view space to records for the blend, sixteen at a time.
 
 mod sphere;
 
@@ -16,16 +16,16 @@ pub(super) const LOW_PASS: f64 = 0.3;
 /// `½·log₂e`: the footprint is kept so that α = opacity · 2^−(t² + s²), without a factor.
 pub(super) const HALF_LOG2_E: f64 = 0.721_347_520_444_481_7;
 pub(super) const ROOT_HALF_LOG2_E: f32 = 0.849_321_8;
-/// Centres farther out than this many pixels are brought in to it, together with their footprints: seen from the image,
-/// which is at most 2¹⁶ pixels wide, that changes the distance measured in standard deviations by less than one part in
-/// 10⁴, and far less where images are smaller. It keeps binary32 from overflowing.
+/// Centres farther out than this many pixels are moved in to it, and their footprints are scaled alike, so that
+/// binary32 does not overflow. For pixels of the image, which is at most 2¹⁶ pixels wide, the distance in standard
+/// deviations changes by less than one part in 10⁴, and far less where images are smaller.
 pub(super) const FARTHEST: f64 = 1_073_741_824.0;
 
 /// A projected Gaussian: one cache line.
 ///
-/// `α(x, y) = min(0.99, opacity · 2^−(s² + t²))` with `s = q·(y − v)` and `t = p·(x − m(y))`, where `m(y) = u + k·(y −
-/// v)` is the middle of the footprint on row y: a triangular factor of the conic. Rows' middles are binary64, so that
-/// long needles and far centres keep their place.
+/// `α(x, y) = min(0.99, opacity · 2^−(s² + t²))` with `s = q·(y − v)` and `t = p·(x − m(y))`: a triangular factor of
+/// the conic. `m(y) = u + k·(y − v)` is the middle of the footprint on row y. Rows' middles are binary64, so that long
+/// needles and far centres keep their place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))]
 pub(super) struct Splat {
@@ -88,7 +88,7 @@ impl Splat {
     }
 }
 
-/// The image that is projected onto.
+/// The image onto which Gaussians are projected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Viewport {
     pub projection: Projection,
@@ -96,11 +96,11 @@ pub(super) struct Viewport {
     pub height: usize,
     /// How α follows from a footprint.
     pub form: Form,
-    /// Opacities are lowered by what the low-pass widens footprints.
+    /// True if opacities are lowered by as much as the low-pass widens footprints.
     pub antialias: bool,
-    /// How far left and right, up and down of the axis a pinhole's footprints are formed as they are there: tangents.
+    /// Tangents left and right, above and below of the axis, to which those in a pinhole's Jacobian are clamped.
     pub bounds: [[f64; 2]; 2],
-    /// Where footprints end.
+    /// Ends of footprints.
     pub cut: Cut,
     /// Blur of a lens with a width.
     pub blur: Option<Blur>,
@@ -120,8 +120,8 @@ pub(super) enum Form {
 /// A lens with a width: σ = f·share·|1/z − nearness| pixels of blur.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Blur {
-    /// A quarter of its diameter: the disc of the blur has half of that as its radius, and half of its radius as its
-    /// standard deviation along an axis.
+    /// A quarter of the lens's diameter: the disc of the blur has half the diameter as its radius, and half that radius
+    /// as its standard deviation along an axis.
     share: f64,
     /// One over the depth in focus.
     nearness: f64,
@@ -135,7 +135,7 @@ impl Blur {
         Some(Self { share: 0.25 * f64::from(aperture), nearness: 1.0 / f64::from(focus) })
     }
 
-    /// The standard deviation in focal lengths of what has this over its depth.
+    /// The standard deviation, in focal lengths, at the given inverse depth.
     #[inline(always)]
     fn deviation(&self, inverse: f64) -> f64 {
         self.share * (inverse - self.nearness)
@@ -262,7 +262,7 @@ pub(super) fn blocks<S: Simd>(s: S, centre: S::F32, radius: S::F32, size: usize)
     let (zero, last) = (s.splat(0.0), s.splat(size as f32 - 1.0));
     let slack = s.mul_add(s.add(s.abs(centre), radius), s.splat(1e-6), s.splat(0.01));
     let extent = s.add(radius, slack);
-    // The first operand loses to the second where it is NaN.
+    // Where the first operand is NaN, the result is the second.
     let from = s.max(s.sub(centre, extent), zero);
     let to = s.min(s.add(centre, extent), last);
     // Pixels are whole numbers: the next one from `from` up, the next one from `to` down.
@@ -286,8 +286,8 @@ fn deviation<S: Simd>(s: S, scale: &Lanes, focal: f32) -> (S::F32, S::F32) {
     (s.select(long, s.abs(sigma), root), share)
 }
 
-/// One axis of a separable footprint with the standard deviation `root`, in binary32: the centre `f·x + (size − 1)/2`
-/// in two parts by fused multiply-adds, `√(½log₂e) / root`, the blocks it can touch, and whether there are any.
+/// One axis of a separable footprint with the standard deviation `root`, in binary32. Returns the centre `f·x + (size −
+/// 1)/2` in two parts by fused multiply-adds, `√(½log₂e) / root`, the blocks it can touch, and whether there are any.
 #[inline(always)]
 fn along<S: Simd>(
     s: S,
@@ -409,7 +409,7 @@ impl Batch {
             };
             let inverse = 1.0 / variance[1];
             k[l] = bb * inverse;
-            // Far centres are brought in, and their footprints with them.
+            // Far centres are moved in, and their footprints scaled with them.
             let (far_x, far_y) = ((u[l].abs() * (1.0 / FARTHEST)).max(1.0), (v[l].abs() * (1.0 / FARTHEST)).max(1.0));
             let (slope, height) = ((HALF_LOG2_E * (variance[1] / det)).sqrt(), (HALF_LOG2_E * inverse).sqrt());
             p[l] = (slope * far_x) as f32;
@@ -425,7 +425,7 @@ impl Batch {
         }
         let drawn = s.le(s.splat(ALPHA_MIN), opacity);
         let opacity = if view.antialias || BLURRED {
-            // NaN, which is not drawn, where a determinant overflows.
+            // NaN where a determinant overflows; NaN is not drawn.
             let share: Lanes = std::array::from_fn(|l| (own[l] / widened[l]).sqrt() as f32);
             s.mul(opacity, s.from_array(share))
         } else {

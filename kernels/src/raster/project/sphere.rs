@@ -1,9 +1,9 @@
 //! Footprints on the sphere of directions around the eye, for equirectangular images.
 //!
 //! A footprint lies in the plane that touches the sphere in the direction n of its centre. In that plane a direction d
-//! is seen at `(e·d, s·d) / n·d`, where e points east and s south, and the Gaussian is projected onto it as by a
-//! pinhole that looks along n. So a footprint has the shape that it has on the sphere, on the seam and on the poles as
-//! well, and needs no copies.
+//! is at `(e·d, s·d) / n·d`, where e points east and s south. The Gaussian is projected onto the plane as by a pinhole
+//! that looks along n. So a footprint has its shape on the sphere, at the seam and at the poles as well, and needs no
+//! copies.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -13,8 +13,8 @@ use crate::simd::{LANES, Simd};
 
 /// Gaussians nearer to the eye are not drawn.
 const NEAREST: f64 = 1e-6;
-/// Least cosine of the latitude by which the low-pass narrows along the latitude: nearer to the poles pixels are
-/// narrower than it.
+/// Least cosine of the latitude by which the low-pass narrows along the latitude. Nearer to the poles pixels are
+/// narrower than the low-pass.
 pub(in super::super) const POLE: f64 = 0.0625;
 /// Added to the tangents that bound a footprint, relative and absolute, and to the pixels that they lead to: more than
 /// all rounding.
@@ -45,8 +45,8 @@ fn angle(y: f64, x: f64) -> f64 {
     if y < 0.0 { -upper } else { upper }
 }
 
-/// Least and greatest latitude of the rectangle that reaches so far east and south of the direction n, and how far it
-/// reaches in longitude; `None` for all around.
+/// Least and greatest latitude, and half the range of longitudes, of the rectangle that extends `east` and `south` of
+/// the direction n. The longitude is `None` where it reaches all around.
 fn extent([_, sin, _]: [f64; 3], cos: f64, [east, south]: [f64; 2]) -> ([f64; 2], Option<f64>) {
     // The southern half; the northern is its mirror image.
     let (down, sign) = (sin.abs(), if sin < 0.0 { -1.0 } else { 1.0 });

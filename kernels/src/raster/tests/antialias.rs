@@ -1,4 +1,4 @@
-//! Opacities lowered by what the low-pass widens footprints.
+//! Opacities lowered by as much as the low-pass widens footprints.
 
 use super::*;
 

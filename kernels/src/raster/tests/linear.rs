@@ -68,7 +68,7 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     a.iter().zip(b).map(|(&a, &b)| f64::from(a) * f64::from(b)).sum()
 }
 
-/// Scenes with what makes each different: separable, turned, opaque and deep, extreme.
+/// Scenes of each kind: separable, turned, opaque and deep, extreme.
 fn scenes() -> Vec<OwnedGaussians> {
     let mut deep = ordinary(900, true, 6);
     deep.opacity.fill(1.0);
@@ -109,7 +109,7 @@ fn forward_is_the_image_with_the_same_colours_up_to_the_rounding_of_weights() {
                 scene.rgb.clone_from(&colours);
                 let request = Request::colour(size[0], size[1], background);
                 let image = render(Level::detect(), &scene.gaussians(), &projection, &request);
-                // Half a unit for each Gaussian of a pixel, the colours being at most 1, and what binary32 rounds.
+                // Half a unit for each Gaussian of a pixel, as colours are at most 1, and the rounding of binary32.
                 let (_, weights) = reference::weights(&scene.gaussians(), &projection, &request);
                 let mut allowed = vec![8e-6; size[0] * size[1]];
                 for (w, unit) in weights.iter().zip(units(&weights, size, 1e-3)) {
@@ -227,7 +227,7 @@ fn sums_agree_with_the_plain_version() {
             scene.rgb.fill([0.5; 3]);
             let request = everything(size[0], size[1]);
             let (image, weights) = reference::weights(&scene.gaussians(), &projection, &request);
-            // Pixels that rounding may decide otherwise are no part of the comparison.
+            // Pixels that rounding may decide differently are excluded from the comparison.
             let mut residual = noise(3 * pixels, 17);
             for (at, value) in residual.iter_mut().enumerate() {
                 if image.margin[at % pixels] <= doubt {
@@ -246,7 +246,7 @@ fn sums_agree_with_the_plain_version() {
                     expected[w.gaussian][c] += stored * f64::from(residual[c * pixels + w.pixel]);
                 }
                 drawn[w.gaussian] += 1.0;
-                // Where binary32 decides how it is rounded.
+                // Weights near a tie: binary32 decides how they are rounded.
                 let near = ((units + 0.5) - (units + 0.5).round()).abs() * unit < tolerance;
                 doubtful[w.gaussian] += if larger > unit { larger } else { f64::from(u8::from(near)) * unit };
             }
@@ -342,7 +342,7 @@ fn tiles_left_out_are_no_part_of_the_map() {
         let (colours, target) = (colours(3000, 27), noise(3 * plane, 28));
         let masked: Vec<f32> = target.iter().enumerate().map(|(i, &v)| if inside(i) { v } else { 0.0 }).collect();
         let (found, expected) = (adjoint(&part, &target), adjoint(&full, &masked));
-        // Sums of zeros aside.
+        // Except sums of zeros.
         assert!(found == expected);
         let mut image = vec![7.0; 3 * plane];
         part.forward(&colours, [0.5; 3], &mut image);
@@ -385,7 +385,7 @@ impl Views {
         let projection = projections(size[0], size[1])[0];
         let mut views = Self { maps: Vec::new(), unknown: Vec::new(), factor: Vec::new(), frames: Vec::new() };
         for view in 0..3_u32 {
-            // Each view lacks other Gaussians, and sees them elsewhere.
+            // Each view lacks different Gaussians and sees the others at different positions.
             let unknown: Vec<u32> = (0..9000).filter(|i| i % 5 != view).collect();
             let of = |v: &[[f32; 3]]| unknown.iter().map(|&i| v[i as usize]).collect::<Vec<_>>();
             let mut part =
@@ -568,7 +568,7 @@ fn tiles_that_are_close_enough_in_all_views_are_left_out() {
             assert!(solve(&map, level, 0.0099) == expected, "{level}, {bytes} bytes");
         }
     }
-    // And where all are, nothing is done.
+    // Where all tiles are close, nothing is done.
     assert_eq!(solve(&whole, Level::detect(), 0.0101), Solution { change: vec![[0.0; 3]; 9000], steps: 0 });
 }
 
@@ -589,7 +589,7 @@ fn what_is_below_the_least_weight_is_a_constant_of_the_image() {
         for (found, expected) in found.iter().zip(&expected) {
             assert!((found - expected).abs() < 2e-3, "{found}, expected {expected}");
         }
-        // Black ones leave what hardly shows, and the map is linear without it.
+        // With black colours only B remains, and the map without B is linear.
         let black = forward(&part, &vec![[0.0; 3]; 6000], [0.0; 3]);
         assert!(black.iter().any(|x| *x > 0.01) && black.iter().all(|x| *x < 0.5));
         let (colours, residual) = (colours(6000, 62), noise(3 * size[0] * size[1], 63));

@@ -62,7 +62,7 @@ proptest! {
             let brightest = scene.rgb.iter().flatten().filter(|v| v.is_finite()).fold(1.0_f32, |a, v| a.max(v.abs()));
             let off = |(a, b): &(&f32, &f32)| (*a - *b).abs() / brightest > 2.0 / 255.0;
             let count = found.iter().zip(&expected.rgb).filter(off).count();
-            // A pixel or two may hang on a threshold.
+            // A pixel or two may be on a threshold.
             prop_assert!(count <= 6 + found.len() / 2000, "{} of {} values differ", count, found.len());
         }
     }

@@ -115,9 +115,8 @@ fn bits(image: &Image) -> Vec<u32> {
     all
 }
 
-/// Compares an image with the plain version's: pixels that no rounding decides are within `tolerance`, and a pixel on
-/// which an alpha or a transmittance is closer to its threshold than `doubt` (relative) may have been decided
-/// otherwise.
+/// Compares an image with the plain version's. Pixels must be within `tolerance`, except where an alpha or a
+/// transmittance is closer to its threshold than `doubt` (relative): these may have been decided differently.
 fn assert_agrees(scene: &OwnedGaussians, projection: &Projection, request: &Request, tolerance: f64, doubt: f64) {
     let expected = reference::render(&scene.gaussians(), projection, request);
     let found = render(Level::detect(), &scene.gaussians(), projection, request);

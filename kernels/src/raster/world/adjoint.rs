@@ -1,4 +1,4 @@
-//! From gradients by footprints to those by Gaussians and the camera, in binary64.
+//! Gradients by Gaussians and the camera from those by footprints, in binary64.
 
 use super::super::Gaussians;
 use super::super::project::Splat;
@@ -114,7 +114,7 @@ fn gradient(
         }
         let third = seen.axes[2];
         let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-        // Held tangents stay where they are.
+        // Clamped tangents do not depend on x/z and y/z.
         let of_tx = of_u * fx - if hx == tx { dot(of_axes[0], third) } else { 0.0 };
         let of_ty = of_v * fy - if hy == ty { dot(of_axes[1], third) } else { 0.0 };
         of_place[0] = of_tx * inverse;
@@ -170,7 +170,7 @@ fn of_quaternion(seen: &Geometry, g: &[[f64; 3]; 3]) -> [f64; 4] {
     ];
     let along = w * of[0] + x * of[1] + y * of[2] + z * of[3];
     let length = w * w + x * x + y * y + z * z;
-    // Shorter quaternions are not brought to length 1.
+    // Shorter quaternions are not normalised.
     if length < 0.5 {
         return [0.0; 4];
     }

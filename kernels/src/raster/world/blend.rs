@@ -16,7 +16,7 @@ pub(super) fn tiles_of(splat: &Splat) -> [[usize; 2]; 2] {
     [splat.columns.map(|c| usize::from(c) / TILE[0]), splat.rows.map(|r| usize::from(r) / TILE[1])]
 }
 
-/// Sums of a Gaussian on a tile, colours aside: `Σv, Σvt, Σvs, Σvt², Σvts, Σvs²`.
+/// Sums of a Gaussian on a tile, without colours: `Σv, Σvt, Σvs, Σvt², Σvts, Σvs²`.
 pub(super) const MOMENTS: usize = 6;
 
 /// A group of channels of a drawing.
@@ -127,7 +127,7 @@ impl<S: Simd, const C: usize> Sink<S> for Picture<'_, C> {
     }
 }
 
-/// What was drawn, `[H, W, D]` and `[H, W]`, and a loss's gradients with respect to it.
+/// The drawn image, `[H, W, D]` and `[H, W]`, and a loss's gradients with respect to it.
 #[derive(Clone, Copy)]
 pub(super) struct Pixels<'a> {
     pub image: &'a [f32],
@@ -230,7 +230,7 @@ impl<const C: usize> Operation for AdjointTile<'_, C> {
     }
 }
 
-/// Where a tile's sums come from and go to.
+/// Source and destination of a tile's sums.
 struct Gather<'a, S: Simd> {
     s: S,
     channels: Channels<'a>,
@@ -245,7 +245,7 @@ struct Gather<'a, S: Simd> {
 /// Sums of a splat.
 struct Gathering<'a, S: Simd, const C: usize> {
     gather: Gather<'a, S>,
-    /// Where the splat's sums on this tile go.
+    /// Slot of the splat's sums on this tile.
     slot: usize,
     /// True if the splat is drawn on a pixel.
     drawn: bool,

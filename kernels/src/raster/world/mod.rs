@@ -1,6 +1,6 @@
 //! Gaussians in world space drawn by gsplat's conventions, in any number of channels, and the adjoint of the image.
 //!
-//! # What is computed
+//! # Definition
 //!
 //! A Gaussian with mean w, quaternion q, scales S = diag(s), opacity o and channels c is seen by a camera with the
 //! world-to-view matrix [V | t]:
@@ -16,14 +16,14 @@
 //! image = Σ α·T·c + T·background     alpha = 1 − T
 //! ```
 //!
-//! Pixel centres are halves: c_x and u count from the image's left edge. `h_x` is x/z held between `(−0.15·W −
-//! c_x)/f_x` and `(1.15·W − c_x)/f_x`. A Gaussian's radius along an axis is `⌈min(3.33, √(2·ln(255·o′)))·√a⌉` pixels;
-//! 0, and the Gaussian left out, where its box of radii lies outside the image, where both radii are at most
+//! Pixel centres are halves: c_x and u count from the image's left edge. `h_x` is x/z clamped to `(−0.15·W − c_x)/f_x`
+//! and `(1.15·W − c_x)/f_x`. A Gaussian's radius along an axis is `⌈min(3.33, √(2·ln(255·o′)))·√a⌉` pixels. It is 0,
+//! and the Gaussian is left out, where its box of radii is outside the image, where both radii are at most
 //! `least_radius`, and where o′ is under 1/255.
 //!
-//! The adjoint takes a loss's gradients with respect to image and alpha to those with respect to everything above, of
-//! the formulas as they are written: an α at its bound 0.999, a held h_x and skipped Gaussians have no gradient of
-//! their own.
+//! The adjoint takes a loss's gradients with respect to image and alpha to those with respect to everything above. It
+//! differentiates the formulas as written: an α at its bound 0.999, a clamped h_x and skipped Gaussians have no
+//! gradient of their own.
 //!
 //! # Order of operations
 //!
@@ -31,8 +31,8 @@
 //! are rounded once. Lists and α are those of [`super`] (form *general*). A pixel's channel is summed front to back,
 //! one fused multiply-add per Gaussian.
 //!
-//! The adjoint walks the same lists front to back with the same α and T. With g the gradients of a pixel's channels and
-//! g_α that of alpha, `G = g_α + Σ_c g_c·c_c` (fused, channels ascending, from g_α), and `B` what lies behind the
+//! The adjoint walks the same lists front to back with the same α and T. g are the gradients of a pixel's channels, g_α
+//! is that of alpha, and `G = g_α + Σ_c g_c·c_c` (fused, channels ascending, from g_α). `B` is the part behind the
 //! Gaussian, from `B₀ = g_α·alpha + Σ_c g_c·image_c` (alike):
 //!
 //! ```text
@@ -41,7 +41,7 @@
 //!
 //! B is a difference: v is as exact as 2⁻²² of B₀, divided by 1 − α. Channels are taken in groups of four, and of the
 //! remaining ones; g_α counts with the first group. With `s = q·(y − v)`, `t = p·(x − m)` of the footprint's triangular
-//! factor, a Gaussian's sums `Σv, Σvt, Σvs, Σvt², Σvts, Σvs²` and `Σ α·T·g_c` are made in three steps:
+//! factor, a Gaussian's sums `Σv, Σvt, Σvs, Σvt², Σvts, Σvs²` and `Σ α·T·g_c` have three steps:
 //!
 //! 1. on each of the 16 lanes of a block of 4×4 pixels, over those blocks of a tile on which the Gaussian is drawn,
 //!    row-major, from +0;
@@ -57,7 +57,7 @@
 //!
 //! A Gaussian with a NaN or an infinity in mean, scale, quaternion or opacity is left out; its gradients are 0.
 //! Channels, backgrounds and gradients of pixels that are not finite count as +0. A quaternion shorter than 1e-12 is
-//! divided by 1e-12, as gsplat does, and has no gradient. So has an opacity that anti-aliasing lowers to 0.
+//! divided by 1e-12, as gsplat does, and has no gradient. Neither has an opacity that anti-aliasing lowers to 0.
 //!
 //! Source: Ye et al., "gsplat: An Open-Source Library for Gaussian Splatting" (2024), version 1.5.3, for the
 //! conventions; Kerbl et al. (2023) for the formulas.
@@ -77,7 +77,7 @@ pub use rasteriser::WorldRasteriser;
 /// A pixel is finished when the next splat would take its transmittance to this or below.
 const TRANSMITTANCE_MIN: f32 = 1e-4;
 
-/// How rays meet the image.
+/// Projection of rays onto the image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WorldProjection {
     /// Rays through one point.
@@ -92,11 +92,11 @@ pub enum WorldProjection {
 pub struct WorldView {
     /// [V | t], row by row; V is used as it is.
     pub world_to_view: [[f32; 4]; 3],
-    /// How rays meet the image.
+    /// Projection of rays onto the image.
     pub projection: WorldProjection,
     /// Pixels per unit along x and y: of a tangent with a pinhole, of length without.
     pub focal: [f32; 2],
-    /// Where the axis z meets the image, from its left and upper edge in pixels.
+    /// The point at which the axis z meets the image, from its left and upper edge in pixels.
     pub centre: [f32; 2],
     /// Pixels per row.
     pub width: usize,
@@ -151,7 +151,7 @@ pub struct Projected {
     pub radius: Vec<[i32; 2]>,
 }
 
-/// Gradient of a loss with respect to what a Gaussian's pixels depend on, colour aside.
+/// Gradient of a loss with respect to a Gaussian's footprint, without colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct FootprintGradient {

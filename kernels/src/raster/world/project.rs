@@ -1,4 +1,4 @@
-//! From Gaussians in world space to footprints, in binary64.
+//! Projection of Gaussians in world space to footprints, in binary64.
 
 use super::super::Gaussians;
 use super::super::bin::Grid;
@@ -8,7 +8,7 @@ use super::{WorldProjection, WorldView};
 use crate::math::f64::ln;
 use crate::simd::{LANES, Operation, Simd};
 
-/// How far beyond the image a pinhole's footprints are shaped as they are there, as a share of its width and height.
+/// Distance beyond the image's edge at which a pinhole's tangents are clamped, as a share of its width and height.
 const BESIDE: f64 = 0.15;
 /// Radii of footprints in standard deviations, at most.
 const EXTENT: f64 = 3.33;
@@ -72,14 +72,14 @@ pub(super) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 pub(super) struct Geometry {
     /// x, y, z in view space.
     pub place: [f64; 3],
-    /// q/|q|, and what q was divided by.
+    /// q/|q|, and the divisor of q.
     pub unit: [f64; 4],
     pub norm: f64,
     /// R
     pub turn: [[f64; 3]; 3],
     /// V·R·S
     pub axes: [[f64; 3]; 3],
-    /// h_x and h_y: the tangents in J.
+    /// h_x and h_y: the clamped tangents in J.
     pub held: [f64; 2],
     /// m₁ and m₂.
     pub rows: [[f64; 3]; 2],
@@ -143,7 +143,7 @@ impl Geometry {
     }
 }
 
-/// What a chunk of Gaussians is projected to.
+/// Results of projecting a chunk of Gaussians.
 pub(super) struct Out<'a> {
     pub splats: &'a mut [Splat],
     pub counts: &'a mut [u32],
@@ -199,7 +199,7 @@ impl ProjectChunk<'_> {
             variances[l] = [variance[0], bb, variance[1]];
             conic[l] = [variance[1] * over, -bb * over, variance[0] * over];
             depth[l] = seen.place[2] as f32;
-            // Far centres are brought in, and their footprints with them.
+            // Far centres are moved in, and their footprints scaled with them.
             let (far_x, far_y) = ((u[l].abs() * (1.0 / FARTHEST)).max(1.0), (v[l].abs() * (1.0 / FARTHEST)).max(1.0));
             let (slope, height) = ((HALF_LOG2_E * (variance[1] * over)).sqrt(), (HALF_LOG2_E * inverse).sqrt());
             p[l] = (slope * far_x) as f32;

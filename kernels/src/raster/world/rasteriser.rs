@@ -40,13 +40,13 @@ pub struct WorldRasteriser {
     projected: Projected,
     /// Tiles, longest lists first.
     order: Vec<u32>,
-    /// Where the sums of each Gaussian start: one set for each tile of its box, row-major. One more than Gaussians.
+    /// Start of the sums of each Gaussian: one set for each tile of its box, row-major. One more than Gaussians.
     offsets: Vec<usize>,
     spare: Mutex<Vec<f32>>,
 }
 
 impl WorldRasteriser {
-    /// A rasteriser that runs on `level` and has projected nothing onto no pixels.
+    /// A rasteriser that runs on `level`, without Gaussians and pixels.
     pub fn new(level: Level) -> Self {
         let nothing = WorldView::pinhole([[0.0; 4]; 3], [1.0; 2], [0.0; 2], [0; 2]);
         Self {
@@ -85,8 +85,8 @@ impl WorldRasteriser {
     /// (they may be empty).
     ///
     /// # Panics
-    /// When the slices of `gaussians` differ in length, when there are 2³² Gaussians or more, when a side of the image
-    /// is longer than [`MAX_SIDE`](crate::raster::MAX_SIDE), when `view.near` is not at least 0, or when
+    /// When the slices of `gaussians` differ in length, when there are 2³² Gaussians or more, or when a side of the
+    /// image is longer than [`MAX_SIDE`](crate::raster::MAX_SIDE). When `view.near` is not at least 0, or
     /// `view.largest_alpha` is not above 0 and below 1.
     pub fn project(&mut self, gaussians: &Gaussians<'_>, view: &WorldView) {
         let n = gaussians.len();
@@ -146,7 +146,7 @@ impl WorldRasteriser {
         }));
     }
 
-    /// The list of a tile, where it lies, and how α follows from it.
+    /// The list of a tile, its position, and the form of α.
     fn walk(&self, tile: usize) -> Walk<'_> {
         let Rasteriser { splats, entries, starts, .. } = &self.rasteriser;
         Walk {
@@ -183,7 +183,7 @@ impl WorldRasteriser {
         self.assert_drawing(drawing, image.len(), alpha.len());
         let (image, alpha) = (Disjoint::new(image), Disjoint::new(alpha));
         let mut first = 0;
-        // Without channels once, for alpha.
+        // Runs once without channels, for alpha.
         while first == 0 || first < drawing.channels {
             let channels = Channels { drawing: *drawing, first };
             let alpha = (first == 0).then_some(&alpha);
@@ -213,9 +213,9 @@ impl WorldRasteriser {
         );
     }
 
-    /// Gradients of a loss from those by image and alpha: `of_image [H, W, D]` and `of_alpha [H, W]` take it to
-    /// `footprints [N]`, `of_colours [N, D]` and `of_background [D]` (or nothing), which are written over. `image` and
-    /// `alpha` are what [`WorldRasteriser::draw`] drew.
+    /// Gradients of a loss from those by image and alpha. Reads `of_image [H, W, D]` and `of_alpha [H, W]`; overwrites
+    /// `footprints [N]`, `of_colours [N, D]` and `of_background [D]` (or nothing). `image` and `alpha` are the results
+    /// of [`WorldRasteriser::draw`].
     ///
     /// # Panics
     /// When a slice has another length.
@@ -236,7 +236,7 @@ impl WorldRasteriser {
         assert_eq!(of_colours.len(), drawing.colours.len(), "gradients of as many colours");
         assert_eq!(of_background.len(), drawing.background.len(), "a gradient per channel of the background");
         footprints.fill(FootprintGradient::default());
-        // Taken: tasks of another call may run on this thread meanwhile.
+        // Taken, as tasks of another call may run on this thread meanwhile.
         let lock = || self.spare.lock().unwrap_or_else(PoisonError::into_inner);
         let mut spare = std::mem::take(&mut *lock());
         let pixels = blend::Pixels { image, alpha, of_image, of_alpha };

@@ -24,7 +24,7 @@ pub struct ReferenceScene {
     pub world_to_view: [[f64; 4]; 3],
 }
 
-/// An image in binary64, and how far it was from being decided otherwise.
+/// An image in binary64, and its distance from the nearest threshold.
 #[derive(Clone, Debug, Default)]
 pub struct ReferenceImage {
     /// `[H, W, D]`
@@ -38,7 +38,7 @@ pub struct ReferenceImage {
     pub margin: f64,
 }
 
-/// Draws a scene; of `view` all but the matrix counts.
+/// Draws a scene by all fields of `view` except the matrix.
 pub fn render(scene: &ReferenceScene, view: &WorldView) -> ReferenceImage {
     let (count, channels, [width, height]) = (scene.mean.len(), scene.channels, [view.width, view.height]);
     let mut out = ReferenceImage {

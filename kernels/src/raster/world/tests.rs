@@ -182,7 +182,7 @@ fn levels_and_thread_counts_agree_to_the_bit() {
             out.copy_from_slice(&Gradients::of(level, case, true).all())
         });
         assert!(case.gaussians.mean.is_empty() || found.iter().any(|v| *v != 0.0));
-        // Also those of numbers that are not finite are numbers.
+        // Gradients of Gaussians with numbers that are not finite are finite too.
         let sound = Gradients::of(Level::detect(), case, false);
         for of in [sound.mean.as_flattened(), sound.rotation.as_flattened(), sound.scale.as_flattened(), &sound.opacity]
         {
@@ -212,8 +212,8 @@ fn images_agree_with_the_plain_version() {
     assert!(compared > 20, "{compared} scenes are away from thresholds");
 }
 
-/// The largest distance of two vectors of `len` numbers each, relative to the expected vector's length and to a
-/// hundredth of the longest.
+/// The largest distance of two vectors of `len` numbers each, relative to the expected vector's length or a hundredth
+/// of the longest.
 fn relative(found: &[f64], expected: &[f64], len: usize) -> f64 {
     assert_eq!(found.len(), expected.len());
     let length = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -282,7 +282,7 @@ fn a_loss_of_depths_reaches_means_and_the_camera() {
     let mut case = Case::new(6, [22, 17], 1, 12);
     let plain = Gradients::of(Level::detect(), &case, false);
     let both = Gradients::of(Level::detect(), &case, true);
-    // Seen Gaussians alone have a depth.
+    // Only visible Gaussians have a depth.
     let mut rasteriser = WorldRasteriser::new(Level::detect());
     rasteriser.project(&case.gaussians.gaussians(), &case.view);
     for i in 0..6 {
@@ -293,7 +293,7 @@ fn a_loss_of_depths_reaches_means_and_the_camera() {
             assert!((found - expected).abs() < 1e-4, "{found}, expected {expected}");
         }
     }
-    // As a channel of its own depth is one of the colours.
+    // Depth is drawn as one of the colour channels.
     case.colours.copy_from_slice(&rasteriser.projected().depth);
     let found = Gradients::of(Level::detect(), &case, false);
     let expected = render(

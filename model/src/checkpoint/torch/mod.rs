@@ -6,8 +6,8 @@
 //! NAME/byteorder     "little" or "big"; little where it is missing
 //! ```
 //!
-//! [`pickle`] reads tensors and nothing else: it imports nothing and calls nothing. Tensors have to be dense and
-//! row-major; they are read from the mapped file in place.
+//! [`pickle`] reads only tensors: it imports nothing and calls nothing. Tensors must be dense and row-major; they are
+//! read from the mapped file in place.
 //!
 //! Source: PyTorch, `torch/serialization.py`, "Serialization semantics".
 
@@ -23,16 +23,16 @@ use zip::{CompressionMethod, ZipArchive};
 use super::header::{Dtype, TensorInfo};
 use pickle::{Pickle, Stored};
 
-/// How a zip archive begins.
+/// First bytes of a zip archive.
 const ZIP: &[u8] = b"PK\x03\x04";
-/// How files of `torch.save` began before version 1.6 of PyTorch: a pickle of a magic number.
+/// First bytes of files of `torch.save` before version 1.6 of PyTorch: a pickle of a magic number.
 const LEGACY: &[u8] = b"\x80\x02\x8a\x0al\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19\x2e";
 /// Longest pickle that is read, in bytes: names and shapes of some hundred thousand tensors.
 const LONGEST: usize = 16 << 20;
 /// Largest number of files of an archive.
 const MOST_ENTRIES: usize = 1 << 17;
 
-/// Returns true if the bytes begin as a file of `torch.save`, of any age.
+/// Returns true if the bytes begin like a file of any version of `torch.save`.
 pub(super) fn is_torch(bytes: &[u8]) -> bool {
     bytes.starts_with(ZIP)
         || bytes.starts_with(LEGACY)
@@ -40,8 +40,8 @@ pub(super) fn is_torch(bytes: &[u8]) -> bool {
         || bytes.starts_with(b"\x80\x04")
 }
 
-/// Returns true if the first bytes of a file are those of a zip archive in which the pickle of `torch.save` comes
-/// first.
+/// Returns true if the first bytes of a file are those of a zip archive whose first entry is the pickle of
+/// `torch.save`.
 pub fn is_archive(head: &[u8]) -> bool {
     // Local header: 26 bytes, lengths of the name and of the extra field, the name.
     let name = head.get(26..28).map(|length| usize::from(u16::from_le_bytes([length[0], length[1]])));
@@ -49,7 +49,7 @@ pub fn is_archive(head: &[u8]) -> bool {
         && name.and_then(|length| head.get(30..30 + length)).is_some_and(|name| name.ends_with(b"data.pkl"))
 }
 
-/// All tensors, their ranges counted from the file's start; or the error.
+/// Returns all tensors, with ranges counted from the file's start, or an error message.
 pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, TensorInfo>, String> {
     if bytes.starts_with(LEGACY) {
         return Err("written by torch.save in the form of PyTorch before 1.6: expected a zip archive; load it in PyTorch and save it again".to_owned());
@@ -57,9 +57,9 @@ pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, TensorInfo>, String
     if !bytes.starts_with(ZIP) {
         return Err("a plain pickle: expected a zip archive, as torch.save writes, or safetensors".to_owned());
     }
-    // The archive begins where the file does. Looking for its start, the crate takes the second entry for the first in
-    // files of torch.save whose first entry has a name of 30 bytes: 76 bytes before the end of the directory, which are
-    // those of the records of 64 bits, would then be a whole entry.
+    // The archive begins at the start of the file. If the crate searched for the start, it would skip a first entry
+    // with a name of 30 bytes: such an entry of the directory takes 76 bytes, as many as the two records of 64 bits
+    // behind the directory.
     let config = Config { archive_offset: ArchiveOffset::Known(0) };
     let mut archive = ZipArchive::with_config(config, Cursor::new(bytes))
         .map_err(|e| format!("not a whole zip archive, as torch.save writes: {e}"))?;
@@ -71,7 +71,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, TensorInfo>, String
     for i in 0..archive.len() {
         let entry = archive.by_index_raw(i).map_err(|e| format!("file {i} of the archive: {e}"))?;
         let name = entry.name().map_err(|e| format!("file {i} of the archive: {e}"))?.into_owned();
-        // torch.save compresses no storage: a reference to a compressed entry is an error of a missing one.
+        // torch.save compresses no storage: a reference to a compressed entry is reported as missing.
         if entry.compression() != CompressionMethod::Stored {
             continue;
         }
@@ -112,7 +112,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<BTreeMap<String, TensorInfo>, String
     Ok(tensors)
 }
 
-/// `start` to `start + length`, if a file of `end` bytes holds it.
+/// Returns the range `start` to `start + length`, if a file of `end` bytes holds it.
 fn range(start: u64, length: u64, end: usize) -> Option<Range<usize>> {
     let start = usize::try_from(start).ok()?;
     let stop = start.checked_add(usize::try_from(length).ok()?)?;

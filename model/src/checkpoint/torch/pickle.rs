@@ -1,11 +1,11 @@
 //! The part of Python's pickle format in which `torch.save` writes tensors by name.
 //!
-//! A pickle is a program for a stack machine. This machine builds numbers, texts, tuples, lists and dictionaries. It
+//! A pickle is a program for a stack machine. This one builds numbers, texts, tuples, lists and dictionaries. It
 //! supports only the four calls by which PyTorch describes tensors, and implements them itself. Anything else is an
 //! error: no class is looked up, no code is run.
 //!
-//! Values lie in one list in the order of their making; the stack, the memo and containers hold their numbers. So every
-//! byte of a pickle makes one value at most, for any number of references to it.
+//! Values are in one list in the order of their creation; the stack, the memo and containers hold their indices. So
+//! every byte of a pickle creates at most one value, for any number of references to it.
 //!
 //! Source: CPython, `Lib/pickletools.py` (opcodes of protocols 0 to 5).
 
@@ -32,7 +32,7 @@ const MOST_AXES: usize = 16;
 /// Longest name of a storage, in bytes: PyTorch numbers them.
 const LONGEST_KEY: usize = 64;
 
-/// Number of a value.
+/// Index of a value.
 type Id = usize;
 
 #[derive(Clone, Debug)]
@@ -46,7 +46,7 @@ enum Value {
     Tuple(Vec<Id>),
     List(Vec<Id>),
     Dict(Vec<(Id, Id)>),
-    /// A function or class: its module, a point and its name.
+    /// A function or class, as `module.name`.
     Global(String),
     Storage {
         dtype: Dtype,
@@ -87,7 +87,7 @@ pub(super) struct Pickle<'a> {
 }
 
 impl Pickle<'_> {
-    /// The tensors of a pickle, by name, or an error message.
+    /// Returns the tensors of a pickle, by name, or an error message.
     pub(super) fn read(bytes: &[u8]) -> Result<BTreeMap<String, Stored>, String> {
         let mut machine =
             Pickle { bytes, at: 0, values: Vec::new(), stack: Vec::new(), marks: Vec::new(), memo: HashMap::new() };
@@ -277,7 +277,7 @@ impl Pickle<'_> {
                 let (arguments, function) = (self.pop()?, self.pop()?);
                 self.call(function, arguments)?;
             }
-            // BUILD: attributes of a dictionary (versions of modules) are left out; other objects are not built.
+            // BUILD: attributes of a dictionary (versions of modules) are ignored; other objects are not built.
             b'b' => {
                 self.pop()?;
                 let object = self.top()?;
@@ -309,7 +309,7 @@ impl Pickle<'_> {
         Ok(())
     }
 
-    /// Makes the result of a call, for the calls that describe tensors.
+    /// Computes the result of a call, for the calls that describe tensors.
     fn call(&mut self, function: Id, arguments: Id) -> Result<(), Fault> {
         let (Value::Global(name), Value::Tuple(arguments)) = (&self.values[function], &self.values[arguments]) else {
             return Err(Fault::Told(format!("a call of {}", self.values[function].kind())));
@@ -348,7 +348,7 @@ impl Pickle<'_> {
         Ok(())
     }
 
-    /// The storage of a persistent number: `("storage", class, key, device, elements)`.
+    /// The storage of a persistent identifier: `("storage", class, key, device, elements)`.
     fn storage(&self, id: Id) -> Result<Value, Fault> {
         let wrong = || Fault::Told("a reference that is no storage: expected tensors alone".to_owned());
         let Value::Tuple(parts) = &self.values[id] else { return Err(wrong()) };
@@ -477,7 +477,7 @@ impl Pickle<'_> {
     }
 }
 
-/// Why an instruction fails.
+/// Cause of an instruction's failure.
 #[derive(Debug)]
 enum Fault {
     Told(String),

@@ -7,7 +7,7 @@ use super::super::Checkpoint;
 use super::*;
 use crate::ModelError;
 
-/// A pickle in the making.
+/// A pickle under construction.
 #[derive(Clone, Default)]
 struct Writer(Vec<u8>);
 
@@ -43,7 +43,7 @@ impl Writer {
     }
 }
 
-/// The start of a dictionary of tensors, as of modules.
+/// The start of a dictionary of tensors, as modules have it.
 fn dictionary() -> Writer {
     Writer::default().op(b"\x80\x02").global("collections", "OrderedDict").op(b")Rq\x00(")
 }
@@ -90,8 +90,8 @@ fn whole() -> Vec<u8> {
     end(writer.text("empty").tensor("HalfStorage", "0", 0, &[0, 3], &[3, 1]))
 }
 
-/// The archive with the records that torch.save writes before its end: the directory's size and place in 64 bits, and
-/// where that is.
+/// The archive with the records that torch.save writes before its end: the directory's size and offset in 64 bits, and
+/// the offset of that record.
 fn with_64_bits(mut bytes: Vec<u8>) -> Vec<u8> {
     let end = bytes.windows(4).rposition(|four| four == b"PK\x05\x06").expect("an end");
     let word = |at: usize, length: usize| {
@@ -154,7 +154,7 @@ fn what_torch_saved_is_read_in_place() {
 
 #[test]
 fn a_pickle_that_would_run_code_is_refused_by_what_it_calls() {
-    // Named, never looked up: there is nothing here that could call it.
+    // The function is named but never looked up: no code here could call it.
     let call =
         |module: &str, name: &str| Writer::default().op(b"\x80\x02").global(module, name).text("x").op(b"\x85R.").0;
     assert_eq!(
