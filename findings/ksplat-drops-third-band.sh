@@ -4,7 +4,7 @@
 #   21 of 45 coefficients, is lost without a message. The library's own table of coefficients has an entry for degree 3.
 # Guess beforehand: degree 3, or an error.
 # Output seen:
-#   asked for 0 1 2 3, stored 0 1 2 2
+#   requested 0 1 2 3, stored 0 1 2 2
 # Consequence: a .ksplat file is not a copy of a trained scene, even at compression level 0; convert from the PLY file.
 set -euo pipefail
 folder=$(mktemp -d)
@@ -31,4 +31,4 @@ console.log(`asked for ${asked.join(' ')}, stored ${stored.join(' ')}`);
 END
 found=$(node --no-deprecation try.mjs)
 echo "$found"
-[ "$found" = 'asked for 0 1 2 3, stored 0 1 2 2' ]
+[ "$found" = 'requested 0 1 2 3, stored 0 1 2 2' ]

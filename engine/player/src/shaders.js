@@ -232,8 +232,8 @@ void main() {
   "still.vert": /* glsl */ `${PRECISE}${ORDER}${FOOTPRINT}${CORNER}
 // One corner of the footprint of a still scene's Gaussian per vertex.
 //
-// A record (still/packet.rs) is taken into the view, with Σ = J·R·S·Sᵀ·Rᵀ·Jᵀ + 0.3·I (px²). In J, as in Request::bounded, what lies beside a pinhole's
-// image by more than 15 % of it is taken to lie there. Colours are those of the harmonics from the eye (kernels/src/harmonics).
+// A record (still/packet.rs) is taken into the view, with Σ = J·R·S·Sᵀ·Rᵀ·Jᵀ + 0.3·I (px²). In J, as in Request::bounded, what is outside a pinhole's
+// image by more than 15 % of it is taken to be at that distance. Colours are those of the harmonics from the eye (kernels/src/harmonics).
 uniform usampler2D records;
 uniform usampler2D rows;  // harmonics, one texel per degree
 uniform int degree;

@@ -1,4 +1,4 @@
-// What the page does besides showing the scene: the whole screen, a picture of any size, a link.
+// Actions of the page other than showing the scene: fullscreen, a picture of any size, a link.
 
 /** Sides of a saved picture, in pixels, at most. */
 const LARGEST = 8192;

@@ -3,7 +3,7 @@
 const find = (id) => document.getElementById(id);
 const BACKGROUNDS = [0.07, 0.5, 1];
 const SPEEDS = [...find("speed").options].map((option) => Number(option.value));
-/** How often a stream is asked for more, in milliseconds. */
+/** How often more of a stream is requested, in milliseconds. */
 const POLL = 400;
 /** How long an interval that did not come is left alone, in milliseconds. */
 const RETRY = 2000;
@@ -166,7 +166,7 @@ function place() {
   );
 }
 
-/** When an interval that did not come is asked for again, in milliseconds of the browser's clock. */
+/** When an interval that did not come is requested again, in milliseconds of the browser's clock. */
 let again = 0;
 
 /** Asks for an interval; where it does not come, not again for a while. */

@@ -274,7 +274,7 @@ async function antialiased() {
   view.child.kill("SIGINT");
   check((await view.ended) === 0, "Ctrl-C ends the server well");
 
-  // Three dots of a twentieth of a pixel, one in the middle: less than 1/255 remains of the light that the low-pass gives them.
+  // Three dots of a twentieth of a pixel, one in the middle: less than 1/255 remains of the light after the low-pass.
   const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
   const rows = [-1, 0, 1].map((x) => [x, 0, 0, 1, 1, 1, 4, -10, -10, -10, 1, 0, 0, 0]);
   const dotted = (lines) => {

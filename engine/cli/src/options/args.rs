@@ -109,7 +109,7 @@ pub struct RunArgs {
     pub input: PathBuf,
     /// Folder for the results, or a video file (.y4m, .mp4, .webm, .mkv, .mov, .m4v, .gif, .webp, .avif), or - (y4m on
     /// standard output) [default: here, named after the input: of clip.mp4 the video clip-scene.mp4 with the scene
-    /// clip-scene.ssz beside it, of images or y4m the folder clip-scene]
+    /// clip-scene.ssz next to it, of images or y4m the folder clip-scene]
     #[arg(long, short, value_name = "DIR")]
     pub out: Option<PathBuf>,
     #[command(flatten)]

@@ -122,7 +122,7 @@ options! {
     #[derive(Clone, Debug, Default, Serialize, Deserialize)]
     #[cfg_attr(feature = "clap", derive(clap::Args))]
     pub struct ModelOptions {
-        /// Checkpoint (safetensors, official layout; FILE.json beside it for what shapes cannot say) [default: the
+        /// Checkpoint (safetensors, official layout; FILE.json next to it for what shapes cannot say) [default: the
         /// small embedded one]
         #[cfg_attr(feature = "clap", arg(long, value_name = "FILE"))]
         pub model: Option<PathBuf>,
@@ -203,7 +203,7 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "HOW"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub fade: Option<Fade>,
-        /// Steps of conjugate gradients that fit colours to the frames; 0: colours as the model gives them
+        /// Steps of conjugate gradients that fit colours to the frames; 0: the colours of the model
         #[cfg_attr(feature = "clap", arg(long, value_name = "N", allow_negative_numbers = true))]
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub refine: Option<u32>,
@@ -331,26 +331,25 @@ options! {
     #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
     #[cfg_attr(feature = "clap", derive(clap::Args))]
     pub struct Motion {
-        /// Move the camera by so many degrees around the scene, from left to right, in so many seconds; where time runs
-        /// on, then back, and so on [default: 4 seconds; render of a scene in time: once in all of it]
+        /// Move the camera around the scene by DEGREES, from left to right, in SECONDS; in a scene in time it then swings
+        /// back, and so on [default: 4 seconds; render of a scene in time: once in all of it]
         #[cfg_attr(
             feature = "clap",
             arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with = "camera", allow_hyphen_values = true)
         )]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub orbit: Option<Swing>,
-        /// Move the camera on a circle, so many degrees from the middle, once in so many seconds; the last image goes
-        /// on into the first [default: 4 degrees, 4 seconds; render of a scene in time: about 4 seconds, so that whole
-        /// circles fit]
+        /// Move the camera on a circle, DEGREES from the middle, once in SECONDS (loops) [default: 4 degrees, 4 seconds;
+        /// render of a scene in time: about 4 seconds, so that whole circles fit]
         #[cfg_attr(feature = "clap", arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with_all = ["camera", "orbit"], num_args = 0..=1, require_equals = true, default_missing_value = Motion::SWAY))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub sway: Option<Swing>,
-        /// Once around the scene in so many seconds; the last image goes on into the first
+        /// Turn once around the scene in SECONDS (loops)
         #[cfg_attr(feature = "clap", arg(long, value_name = "SECONDS", conflicts_with_all = ["camera", "orbit", "sway"], allow_negative_numbers = true))]
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pub turntable: Option<f64>,
-        /// What images of a moved camera show of a scene in time where nothing was filmed: extend (the colours around
-        /// go on), crop (for render: magnified until the picture's edges are outside, then as extend) or none (the
+        /// How images of a moved camera fill what was never filmed, in a scene in time: extend (continue the colours
+        /// around it), crop (for render: magnify until the picture's edges are outside, then extend) or none (show the
         /// background) [default: extend]
         #[cfg_attr(feature = "clap", arg(long, value_name = "WAY"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
