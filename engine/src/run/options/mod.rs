@@ -331,16 +331,16 @@ options! {
     #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
     #[cfg_attr(feature = "clap", derive(clap::Args))]
     pub struct Motion {
-        /// Move the camera around the scene by DEGREES, from left to right, in SECONDS; in a scene in time it then swings
-        /// back, and so on [default: 4 seconds; render of a scene in time: once in all of it]
+        /// Move the camera around the scene by DEGREES, from left to right, in SECONDS; in a scene in time it then
+        /// swings back, and so on [default: 4 seconds; render of a scene in time: once in all of it]
         #[cfg_attr(
             feature = "clap",
             arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with = "camera", allow_hyphen_values = true)
         )]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub orbit: Option<Swing>,
-        /// Move the camera on a circle, DEGREES from the middle, once in SECONDS (loops) [default: 4 degrees, 4 seconds;
-        /// render of a scene in time: about 4 seconds, so that whole circles fit]
+        /// Move the camera on a circle, DEGREES from the middle, once in SECONDS (loops) [default: 4 degrees, 4
+        /// seconds; render of a scene in time: about 4 seconds, so that whole circles fit]
         #[cfg_attr(feature = "clap", arg(long, value_name = "DEGREES[:SECONDS]", conflicts_with_all = ["camera", "orbit"], num_args = 0..=1, require_equals = true, default_missing_value = Motion::SWAY))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub sway: Option<Swing>,
