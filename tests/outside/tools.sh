@@ -24,10 +24,20 @@ debian() {
   }
 }
 
+# locked FOLDER: waits until no other test uses the folder, and keeps others from it to the end of this test.
+locked() {
+  local lock
+  case " ${held:-} " in *" $1 "*) return ;; esac
+  held="${held:-} $1"
+  exec {lock}>"$1.lock"
+  flock "$lock"
+}
+
 # python_with NAME REQUIREMENTS.TXT: a virtual environment of that name with the pinned packages, whose files must have the stated hashes; its interpreter is
-# then $python.
+# then $python. Tests that share one wait for each other, since they install into it.
 python_with() {
   local home=$outside/python-$1 wanted
+  locked "$home"
   wanted=$(cat "$2")
   python=$home/bin/python
   [ "$(cat "$home/wanted" 2>/dev/null)" = "$wanted" ] && return
@@ -41,6 +51,7 @@ python_with() {
 node_with() {
   local home=$outside/node-$1
   mkdir -p "$home"
+  locked "$home"
   node_modules=$home/node_modules
   cmp -s "$2/package-lock.json" "$home/installed" && return
   cp "$2/package.json" "$2/package-lock.json" "$home/"
