@@ -6,10 +6,10 @@
 //! normalises anew, so that it shifts by some per cent).
 //!
 //! - The *host* of an old Gaussian is the coinciding new one of smallest q (ties: lower index).
-//! Identities go one to one: all coinciding pairs in ascending q (ties: lower new, then lower old index), each accepted
-//! when neither side is matched yet. The frame before goes first; older survivors share the rest. (Found by deferred
-//! acceptance: each old one offers itself to its candidates in ascending order, a new one keeps the best offer; no
-//! pairs are sorted.)
+//! - Identities go one to one: all coinciding pairs in ascending q (ties: lower new, then lower old index), each
+//!   accepted when neither side is matched yet. The frame before goes first; older survivors share the rest. They are
+//!   found by deferred acceptance, without sorting pairs: each old one offers itself to its candidates in ascending
+//!   order, a new one keeps the best offer.
 //!
 //! New Gaussians are binned over the image with one cell each on average, and a query visits at most six by six bins,
 //! so the cost is near-linear. To keep it so when many positions coincide, a query reads at most [`PER_BIN`] records of

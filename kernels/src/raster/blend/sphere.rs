@@ -10,9 +10,9 @@ use crate::simd::{LANES, Simd};
 
 /// Directions of a tile's columns and rows, and the contribution of each to a splat's exponents.
 ///
-/// The pixel (u, v) is seen along `d = (cos φ·sin λ, sin φ, cos φ·cos λ)` with `λ = 2π·((u + ½)/W − ½)` and `φ = π·((v
-/// + ½)/H − ½)`. With n, e and s of the splat (`project/sphere.rs`), `a = p·(e − k·s)` and `b = q·s`, rounded to
-/// binary32,
+/// The pixel (u, v) is seen along `d = (cos φ·sin λ, sin φ, cos φ·cos λ)` with `λ = 2π·((u + ½)/W − ½)` and
+/// `φ = π·((v + ½)/H − ½)`. With n, e and s of the splat (`project/sphere.rs`), `a = p·(e − k·s)` and `b = q·s`,
+/// rounded to binary32,
 ///
 /// ```text
 /// e(u, v) = ((a·d)² + (b·d)²) / (n·d)²     where n·d > 0     a·d = cos φ·(a_x·sin λ + a_z·cos λ) + a_y·sin φ
