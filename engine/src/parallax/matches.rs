@@ -2,7 +2,8 @@
 
 use glam::DVec3;
 
-use super::Sight;
+use super::window::Track;
+use super::{CELL, Sight};
 
 /// Pixels between matches.
 const STEP: usize = 8;
@@ -22,18 +23,19 @@ pub(super) struct Match {
 }
 
 /// Returns the matches of every [`STEP`]-th pixel where backward and forward flow agree; `None` if there are too few.
-pub(super) fn of(sight: &Sight<'_>) -> Option<Vec<Match>> {
-    let field = sight.evidence.there;
-    let [height, width] = field.size;
+pub(super) fn of(sight: &Sight<'_>, track: &Track) -> Option<Vec<Match>> {
+    let [rows, columns] = sight.grid;
+    let step = STEP / CELL;
     let (mut matches, mut all) = (Vec::new(), 0_usize);
-    for row in (STEP / 2..height).step_by(STEP) {
-        for column in (STEP / 2..width).step_by(STEP) {
+    for row in (step / 2..rows).step_by(step) {
+        for column in (step / 2..columns).step_by(step) {
             all += 1;
-            let at = row * width + column;
-            let (u, v) = (field.u[at], field.v[at]);
+            let cell = row * columns + column;
+            let (u, v) = (track.u[cell], track.v[cell]);
             let limit = 0.05f32.mul_add((u * u + v * v).sqrt(), sight.unit as f32);
-            if sight.astray[at] < limit {
-                let (x, y) = (column as f32, row as f32);
+            if track.astray[cell] < limit {
+                let [x, y] = sight.middle(cell);
+                let at = sight.pixel(cell);
                 matches.push(Match {
                     one: sight.direction([x, y]),
                     other: sight.direction([x + u, y + v]),

@@ -19,6 +19,8 @@
 //! 4. Inverse depth of every cell of a grid of 2×2 pixels, linear in `ρ` (ibid. 12.2), with a confidence: texture,
 //!    length of the parallax, distance from the epipolar line, and agreement of backward and forward flow:
 //!    `triangulate`.
+//!    Where the parallax is short, the flow is followed over several key frames, and their baselines are joined:
+//!    `window`.
 //! 5. Independently moving objects fit no epipolar line; each gets one depth, that of the ground under it: `bodies`.
 //! 6. The inverse depth of the previous frame is carried along the flow, brought to one scale, and averaged by
 //!    confidence: `filter`.
@@ -51,6 +53,7 @@ mod matches;
 mod ransac;
 mod triangulate;
 mod turning;
+mod window;
 
 #[cfg(test)]
 mod tests;
@@ -61,6 +64,7 @@ use streamsplat_kernels::flow::Field;
 use streamsplat_kernels::philox::Stream;
 
 pub use filter::Found;
+pub use window::{Track, Window};
 
 /// Focal length, relative to the picture's longer side.
 pub const FOCAL: f64 = 0.82;
@@ -117,21 +121,27 @@ pub struct Motion {
 /// The reason why there is no parallax.
 pub fn camera(level: Level, evidence: Evidence<'_>, stream: Stream) -> Result<Motion, NoParallax> {
     let sight = Sight::new(level, evidence);
-    sight.camera(stream)
+    sight.camera(&Track::of(&sight), stream, 0).map(|(motion, _)| motion)
 }
 
-/// Computes the inverse depth of the picture's cells from this interval and `before`, the result for the earlier
-/// picture. `None` if neither has any.
-pub fn find(level: Level, evidence: Evidence<'_>, before: Option<&Found>, stream: Stream) -> Option<Found> {
+/// Computes the inverse depth of the picture's cells from this interval, `before`, the result for the earlier picture,
+/// and `window`, the earlier picture's. `None` if none has any. Returns the picture's window as well.
+pub fn find(
+    level: Level,
+    evidence: Evidence<'_>,
+    before: Option<&Found>,
+    window: &Window,
+    stream: Stream,
+) -> (Option<Found>, Window) {
     let sight = Sight::new(level, evidence);
     let carried = before.map(|found| filter::carry(found, &sight));
-    let now = sight.camera(stream).ok().map(|motion| {
-        let mut cells = triangulate::cells(&sight, &motion);
+    let window = window.advance(&sight);
+    let now = window.cells(&sight, stream).map(|mut cells| {
         let before = carried.as_ref().and_then(|carried| carried.as_ref());
         bodies::settle(&mut cells, before.map(|(cells, _)| &cells[..]), &sight);
         cells
     });
-    filter::join(now, carried, &sight)
+    (filter::join(now, carried, &sight), window)
 }
 
 /// Values computed once for a pair of pictures.
@@ -171,8 +181,10 @@ impl Sight<'_> {
         }
     }
 
-    fn camera(&self, stream: Stream) -> Result<Motion, NoParallax> {
-        let matches = matches::of(self).ok_or(NoParallax::Inconsistent)?;
+    /// The camera's motion along a track, and the median length of the parallax in pixels of a picture 512 pixels wide.
+    /// `part`: which part of the random stream is used.
+    fn camera(&self, track: &Track, stream: Stream, part: u64) -> Result<(Motion, f64), NoParallax> {
+        let matches = matches::of(self, track).ok_or(NoParallax::Inconsistent)?;
         if matches::median_length(&matches) * self.focal < STILL * self.unit {
             return Err(NoParallax::Still);
         }
@@ -181,7 +193,7 @@ impl Sight<'_> {
         if flat > FLAT && turning::share(&matches, fits) >= TURNS * flat {
             return Err(NoParallax::Flat);
         }
-        let motion = ransac::motion(&matches, fits, stream).ok_or(NoParallax::Inconsistent)?;
+        let motion = ransac::motion(&matches, fits, stream, part).ok_or(NoParallax::Inconsistent)?;
         let fit = epipolar::fit(&motion, &matches, fits);
         if fit.share < 0.5 || fit.ahead < 0.75 {
             return Err(NoParallax::Inconsistent);
@@ -189,7 +201,7 @@ impl Sight<'_> {
         if fit.share < flat + BEYOND || fit.parallax * self.focal < LEAST_LENGTH * self.unit {
             return Err(NoParallax::Flat);
         }
-        Ok(motion)
+        Ok((motion, fit.parallax * self.focal / self.unit))
     }
 
     /// Returns column and row of a cell's middle, in pixels.

@@ -25,13 +25,13 @@ const ELEMENTS: u64 = 64;
 
 /// Returns the motion of least cost over the matches. Each draw starts from the rotation that explains all matches best
 /// and a random direction, and is refined on a sample.
-pub(super) fn motion(matches: &[Match], fits: f64, stream: Stream) -> Option<Motion> {
+pub(super) fn motion(matches: &[Match], fits: f64, stream: Stream, part: u64) -> Option<Motion> {
     let turn = rotation(matches, 4.0 * fits)?;
     let every = matches.len().div_ceil(JURY);
     let jury = || matches.iter().step_by(every);
     let mut drawn: Vec<(f64, Motion)> = (0..DRAWS as u64)
         .filter_map(|draw| {
-            let first = draw * ELEMENTS;
+            let first = (part * DRAWS as u64 + draw) * ELEMENTS;
             let words = stream.words(first);
             let side = |word: u32| f64::from(word) / f64::from(u32::MAX) * 2.0 - 1.0;
             let translation = DVec3::new(side(words[0]), side(words[1]), side(words[2])).try_normalize()?;

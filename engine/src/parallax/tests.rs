@@ -64,7 +64,7 @@ fn motion(turn: [f64; 3], translation: [f64; 3]) -> Motion {
 fn found(scene: Scene, motion: Motion, length: f64, before: Option<&Found>) -> Option<Found> {
     let [there, back] = flow(scene, motion, length);
     let rgb = picture();
-    find(Level::scalar(), Evidence { rgb: &rgb, there: &there, back: &back }, before, STREAM)
+    find(Level::scalar(), Evidence { rgb: &rgb, there: &there, back: &back }, before, &Window::default(), STREAM).0
 }
 
 fn reason(scene: Scene, motion: Motion, length: f64) -> Option<NoParallax> {
@@ -146,7 +146,9 @@ fn flow_that_is_no_number_gives_no_depth() {
     let nowhere = Field { size: SIZE, u: vec![f32::NAN; SIZE[0] * SIZE[1]], v: vec![f32::NAN; SIZE[0] * SIZE[1]] };
     let evidence = Evidence { rgb: &rgb, there: &nowhere, back: &nowhere };
     assert_eq!(camera(Level::scalar(), evidence, STREAM), Err(NoParallax::Inconsistent));
-    assert_eq!(find(Level::scalar(), evidence, None, STREAM), None);
+    let (found, window) = find(Level::scalar(), evidence, None, &Window::default(), STREAM);
+    assert_eq!(found, None);
+    assert!(window.tracks[0].astray.iter().all(|astray| *astray == f32::INFINITY));
 }
 
 #[test]
@@ -238,9 +240,74 @@ fn the_bits_are_the_same_every_time_and_another_seed_finds_the_same_camera() {
     let [there, back] = flow(planes, moved, 0.1);
     let rgb = picture();
     let evidence = Evidence { rgb: &rgb, there: &there, back: &back };
-    let once = find(Level::scalar(), evidence, None, STREAM);
-    assert_eq!(once, find(Level::detect(), evidence, None, STREAM));
+    let once = find(Level::scalar(), evidence, None, &Window::default(), STREAM);
+    assert_eq!(once, find(Level::detect(), evidence, None, &Window::default(), STREAM));
     let other = camera(Level::scalar(), evidence, Stream { seed: 8, ..STREAM }).expect("parallax");
     let one = camera(Level::scalar(), evidence, STREAM).expect("parallax");
     assert!(one.translation.dot(other.translation) > 0.999);
+}
+
+/// Flow and its errors: a smooth field of up to `most` pixels that is another one in each of `frame`'s pictures.
+fn with_errors(mut field: Field, frame: u64, most: f64) -> Field {
+    for at in 0..field.u.len() {
+        let block = |k: u64| {
+            let (x, y) = ((at % SIZE[1]) as f64 / 24.0, (at / SIZE[1]) as f64 / 24.0);
+            let node = |x: u64, y: u64| f64::from(Stream { seed: k, frame }.uniform(x + 64 * y)) - 0.5;
+            let (left, above) = (x as u64, y as u64);
+            let (dx, dy) = (x.fract(), y.fract());
+            let line = |y: u64| node(left, y) * (1.0 - dx) + node(left + 1, y) * dx;
+            2.0 * most * (line(above) * (1.0 - dy) + line(above + 1) * dy)
+        };
+        field.u[at] += block(11) as f32;
+        field.v[at] += block(12) as f32;
+    }
+    field
+}
+
+#[test]
+fn slow_motion_is_measured_over_several_key_frames() {
+    // Eight short steps to the right, with errors of flow that are as long as the parallax. `planes` in the coordinates
+    // of the last frame: earlier ones differ by up to four pixels.
+    let right = motion([0.0; 3], [1.0, 0.0, 0.0]);
+    let rgb = picture();
+    let run = |steps: u64| {
+        let mut window = Window::default();
+        let mut last = None;
+        for step in 0..steps {
+            let [there, back] = flow(planes, right, 0.008);
+            // The errors of both directions cancel in the round trip, as those of real flow often do.
+            let there = with_errors(there, step, 0.4);
+            let back =
+                Field { u: there.u.iter().map(|u| -u).collect(), v: there.v.iter().map(|v| -v).collect(), ..back };
+            let evidence = Evidence { rgb: &rgb, there: &there, back: &back };
+            (last, window) = find(Level::scalar(), evidence, None, &window, STREAM);
+        }
+        (last.map(|found| order(&found.map(Level::scalar(), &rgb, SIZE), planes)), window)
+    };
+    let (one, _) = run(1);
+    let (eight, window) = run(9);
+    assert_eq!(window.tracks.len(), 8, "older frames are forgotten");
+    let (one, eight) = (one.unwrap_or(0.5), eight.expect("parallax"));
+    assert!(eight > 0.9 && eight > one + 0.05, "{one} from one step, {eight} from eight");
+}
+
+#[test]
+fn a_window_of_other_numbers_is_refused() {
+    let [there, back] = flow(planes, motion([0.0; 3], [1.0, 0.0, 0.0]), 0.1);
+    let rgb = picture();
+    let evidence = Evidence { rgb: &rgb, there: &there, back: &back };
+    let (_, window) = find(Level::scalar(), evidence, None, &Window::default(), STREAM);
+    assert_eq!(window.contradiction(SIZE), None);
+    assert!(window.contradiction([SIZE[0] + 2, SIZE[1]]).is_some_and(|reason| reason.contains("98")));
+    let changes: [fn(&mut Window); 4] = [
+        |window| window.tracks[0].u[3] = f32::NAN,
+        |window| window.tracks[0].astray[3] = -1.0,
+        |window| _ = window.tracks[0].v.pop(),
+        |window| window.tracks = vec![window.tracks[0].clone(); 9],
+    ];
+    for change in changes {
+        let mut wrong = window.clone();
+        change(&mut wrong);
+        assert!(wrong.contradiction(SIZE).is_some());
+    }
 }

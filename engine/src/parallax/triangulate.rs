@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use super::matches::Match;
+use super::window::Track;
 use super::{Motion, Sight};
 
 /// Distance from the epipolar line, in pixels of a picture 512 wide, above which a match certainly fits no point at
@@ -42,18 +43,18 @@ pub(super) fn inverse_depth(motion: &Motion, one: DVec3, other: DVec3) -> (f64, 
 }
 
 /// Returns all cells of the picture, with inverse depth in units of the median of the certain ones.
-pub(super) fn cells(sight: &Sight<'_>, motion: &Motion) -> Vec<Cell> {
+pub(super) fn cells(sight: &Sight<'_>, track: &Track, motion: &Motion, unit: Option<f64>) -> (Vec<Cell>, f64) {
     let pixels = sight.focal / sight.unit;
     let count = sight.grid[0] * sight.grid[1];
     let mut lengths = Vec::with_capacity(count);
     let mut cells: Vec<(Cell, f64)> = (0..count)
         .map(|cell| {
             let at = sight.middle(cell);
-            let [u, v] = sight.evidence.there.at(at[0], at[1]);
+            let [u, v] = [track.u[cell], track.v[cell]];
             let m = Match { one: sight.direction(at), other: sight.direction([at[0] + u, at[1] + v]), weight: 1.0 };
             let (inverse, length, beside) = inverse_depth(motion, m.one, m.other);
             let pixel = sight.pixel(cell);
-            let (astray, texture) = (f64::from(sight.astray[pixel]) / sight.unit, f64::from(sight.texture[pixel]));
+            let (astray, texture) = (f64::from(track.astray[cell]) / sight.unit, f64::from(sight.texture[pixel]));
             let (beside, length) = (beside * pixels, length * pixels);
             lengths.push(length);
             let travel = f64::from((u * u + v * v).sqrt()) / sight.unit;
@@ -71,7 +72,7 @@ pub(super) fn cells(sight: &Sight<'_>, motion: &Motion) -> Vec<Cell> {
         })
         .collect();
     lengths.sort_by(f64::total_cmp);
-    let middle = lengths[count / 2].max(1e-12);
+    let middle = unit.unwrap_or_else(|| lengths[count / 2].max(1e-12));
     for (cell, length) in &mut cells {
         // Near the epipole the parallax is short and the depth uncertain.
         cell.confidence *= ((*length / middle) * (*length / middle)).min(16.0) as f32;
@@ -81,5 +82,5 @@ pub(super) fn cells(sight: &Sight<'_>, motion: &Motion) -> Vec<Cell> {
     for cell in &mut cells {
         cell.inverse = (cell.inverse / scale).min(super::filter::NEAREST);
     }
-    cells
+    (cells, middle)
 }

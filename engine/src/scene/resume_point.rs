@@ -12,6 +12,7 @@
 //! | `found_inverse`, `found_confidence` | F32 `[R,C]` | depth found by parallax for the key frame's cells, if any |
 //! | `found_body` | F32 `[R,C]` | 1 where a body moves by itself, less for each key frame since |
 //! | `found_nearest` | F32 `[1]` | inverse depth that counts as nearest |
+//! | `track_u`, `track_v`, `track_astray` | F32 `[K,C]` | where the key frame's cells were in the `K` key frames before, if depth is searched by parallax |
 //! | `covered_cell` | U32 `[C]` | cells of the key frame whose foreground hides surfaces that earlier frames saw, if any |
 //! | `covered_at`, `covered_rgb` | F32 `[C,2]`, `[C,3]` | the surface's place in pixels and its colour |
 //! | `kept_rgb` | F32 `[P]` | the key frame's picture, where it keeps Gaussians of those before |
@@ -26,7 +27,7 @@ use safetensors::SafeTensors;
 use safetensors::tensor::Dtype;
 
 use super::records::{self, float_bytes, floats, tensor, word_bytes, words};
-use crate::parallax::Found;
+use crate::parallax::{Found, Track, Window};
 use streamsplat_model::StaticGaussians;
 
 use crate::stream::{Covered, Current, KeptState, Past, ResumePoint};
@@ -93,6 +94,15 @@ pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> R
             ("found_confidence", Dtype::F32, shape.clone(), float_bytes(&found.confidence)),
             ("found_body", Dtype::F32, shape, float_bytes(&found.body)),
             ("found_nearest", Dtype::F32, vec![1], float_bytes(&[found.nearest])),
+        ]);
+    }
+    if let Some((tracks, cells)) = point.and_then(|p| Some((&p.window.tracks, p.window.tracks.first()?.u.len()))) {
+        let shape = vec![tracks.len(), cells];
+        let plane = |of: fn(&Track) -> &[f32]| tracks.iter().flat_map(|track| float_bytes(of(track))).collect();
+        tensors.extend([
+            ("track_u", Dtype::F32, shape.clone(), plane(|track| &track.u)),
+            ("track_v", Dtype::F32, shape.clone(), plane(|track| &track.v)),
+            ("track_astray", Dtype::F32, shape, plane(|track| &track.astray)),
         ]);
     }
     records::serialize(&tensors, Some(HashMap::from([(NOTE.to_owned(), note.to_owned())])))
@@ -170,10 +180,25 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
         next_identity: word("next_identity")?,
         depth,
         found,
+        window: window(&file)?,
         covered,
         kept: kept(&file)?.map(Box::new),
     };
     Ok((Some(point), note))
+}
+
+/// Reads the tracks to earlier key frames.
+fn window(file: &SafeTensors<'_>) -> Result<Window, String> {
+    let Ok(view) = file.tensor("track_u") else { return Ok(Window::default()) };
+    let &[tracks, cells] = view.shape() else {
+        return Err(format!("track_u: expected tracks and cells, found shape {:?}", view.shape()));
+    };
+    let planes = |name: &str| {
+        let values = floats::<1>(tensor(file, name, Dtype::F32, &[Some(tracks), Some(cells)])?);
+        Ok::<Vec<Vec<f32>>, String>(values.chunks(cells.max(1)).map(|plane| plane.as_flattened().to_vec()).collect())
+    };
+    let all = planes("track_u")?.into_iter().zip(planes("track_v")?).zip(planes("track_astray")?);
+    Ok(Window { tracks: all.map(|((u, v), astray)| Track { u, v, astray }).collect() })
 }
 
 /// State that a key frame keeps from earlier ones.

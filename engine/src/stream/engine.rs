@@ -22,7 +22,7 @@ use super::{
     StaticRegions, Work, Workers,
 };
 use crate::fit::Placement;
-use crate::parallax::{self, Evidence, Found};
+use crate::parallax::{self, Evidence, Found, Window};
 
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
@@ -49,6 +49,8 @@ pub(super) struct State {
     pub(super) set: CanonicalSet,
     /// Depth found by parallax.
     pub(super) found: Option<Found>,
+    /// Where the key frame's parts were in those before, for depth found by parallax.
+    pub(super) window: Window,
 }
 
 impl Engine {
@@ -215,7 +217,7 @@ impl Engine {
             }
             None => None,
         };
-        let Depths { found, first } = depths;
+        let Depths { found, first, window } = depths;
         if let Some(first) = first {
             self.lift_first(tiles, first);
         }
@@ -302,7 +304,7 @@ impl Engine {
             }
         };
         let start = before.as_ref().map_or(timestamp, |s| s.timestamp);
-        let state = State { frame: index, timestamp, placement, view, pair: next_pair, set, found };
+        let state = State { frame: index, timestamp, placement, view, pair: next_pair, set, found, window };
         let Advance { gaussians, merges, dropped, .. } = advance;
         let dropped = dropped + lost;
         Ok((state, Interval { index, start, end: timestamp, gaussians, placement, merges, dropped }))
@@ -387,7 +389,7 @@ impl Engine {
         let Some((state, flows)) = state.as_mut().filter(|_| wanted).zip(flows) else { return Ok(Depths::default()) };
         if view.repeats(&state.view) {
             work.count(Stage::Parallax, 0, 1);
-            return Ok(Depths { found: state.found.clone(), first: None });
+            return Ok(Depths { found: state.found.clone(), first: None, window: state.window.clone() });
         }
         let level = workers.level();
         for view in [&mut state.view, &mut *view] {
@@ -401,13 +403,15 @@ impl Engine {
         let [forth, back] = &*flow;
         let evidence = Evidence { rgb: &view.rgb, there: back, back: forth };
         let stream = |frame: u64| Stream { seed: settings.seed, frame };
-        let found =
-            work.measure(Stage::Parallax, || parallax::find(level, evidence, state.found.as_ref(), stream(index)));
+        let (found, window) = work.measure(Stage::Parallax, || {
+            parallax::find(level, evidence, state.found.as_ref(), &state.window, stream(index))
+        });
         let first = found.as_ref().filter(|_| index == 1 && state.view.map.is_none()).and_then(|found| {
             let evidence = Evidence { rgb: &state.view.rgb, there: forth, back };
-            work.measure(Stage::Parallax, || parallax::find(level, evidence, Some(found), stream(0)))
+            let none = Window::default();
+            work.measure(Stage::Parallax, || parallax::find(level, evidence, Some(found), &none, stream(0))).0
         });
-        Ok(Depths { found, first })
+        Ok(Depths { found, first, window })
     }
 
     /// Lifts the stream's first key frame, which had no depth when it came.
@@ -552,6 +556,7 @@ struct Depths {
     found: Option<Found>,
     /// For the stream's first key frame, where this is the second.
     first: Option<Found>,
+    window: Window,
 }
 
 /// Aligns the map of a frame with the scale of the frame before, along the flow from it.

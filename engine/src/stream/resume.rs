@@ -13,7 +13,7 @@ use super::identities::Identities;
 use super::keep::KeptState;
 use super::lift::{Covered, contradiction};
 use super::{Engine, EngineError, Frame, Record, Reuse};
-use crate::parallax::Found;
+use crate::parallax::{Found, Window};
 
 /// State of a stream at a key frame. With that frame it suffices to resume the stream ([`Engine::resume`]).
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -35,6 +35,8 @@ pub struct ResumePoint {
     pub depth: Option<[f32; 2]>,
     /// Depth found by parallax for the frame; `None` where none was.
     pub found: Option<Found>,
+    /// Where the frame's parts were in the key frames before, if depth is searched by parallax.
+    pub window: Window,
     /// Colours of surfaces that earlier frames saw and that are now covered, ascending in `cell`.
     pub covered: Vec<Covered>,
     /// State kept from earlier key frames; `None` where there is none.
@@ -56,6 +58,7 @@ impl Engine {
                 next_identity: identities.next(),
                 depth: state.view.map.as_ref().map(|map| map.alignment.into()),
                 found: state.found.clone(),
+                window: state.window.clone(),
                 covered: state.view.added.covered.clone(),
                 kept: KeptState::of(&state.view).map(Box::new),
             }
@@ -74,8 +77,11 @@ impl Engine {
             let kept = point.kept.as_ref().and_then(|kept| kept.contradiction(placement.model));
             let (gaussians, layers) = (Arc::clone(&view.gaussians), view.layers());
             let found = point.found.as_ref().and_then(|found| found.contradiction(placement.model));
+            let window = point.window.contradiction(placement.model);
             let covered = contradiction(&point.covered, placement.model);
-            if let Some(reason) = kept.or(found).or(covered).or_else(|| point.contradiction(gaussians.position.len())) {
+            if let Some(reason) =
+                kept.or(found).or(window).or(covered).or_else(|| point.contradiction(gaussians.position.len()))
+            {
                 return Err(EngineError::ResumePoint { index: point.frame, reason });
             }
             let set = CanonicalSet {
@@ -88,7 +94,8 @@ impl Engine {
                 identities: Identities::from(point.next_identity),
             };
             let (frame, timestamp) = (point.frame, point.timestamp);
-            self.set_state(State { frame, timestamp, placement, view, pair: None, set, found: point.found.clone() });
+            let (found, window) = (point.found.clone(), point.window.clone());
+            self.set_state(State { frame, timestamp, placement, view, pair: None, set, found, window });
             Ok(())
         })
     }
