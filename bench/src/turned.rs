@@ -7,7 +7,7 @@ use clap::Args;
 use serde::Serialize;
 use streamsplat::Settings;
 use streamsplat_fixtures::clip::cards::{Body, Cards, Moves};
-use streamsplat_tests::turned::{BodyScore, Depth, score_bodies};
+use streamsplat_tests::turned::{BodyScore, Depth, edges_from_lines, score_bodies};
 
 use crate::Common;
 use crate::depth::{first_picture, ppm};
@@ -33,6 +33,9 @@ pub(crate) struct Options {
     /// Folders of images for textures; painted textures otherwise.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     textures: Vec<PathBuf>,
+    /// Measure instead how straight the edges of a picture without depth stay when it is turned.
+    #[arg(long, conflicts_with = "textures")]
+    straight: bool,
     /// Write the pictures of each scene into this folder.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
@@ -68,9 +71,21 @@ struct Row {
     score: BodyScore,
 }
 
+#[derive(Serialize)]
+struct Straight {
+    degrees: f64,
+    rms: f64,
+    most: f64,
+}
+
 pub(crate) fn run(options: &Options) -> Result<()> {
     let settings = Settings { level: Some(options.common.isa), threads: options.common.threads, ..Settings::default() };
     let [width, height] = options.size;
+    if options.straight {
+        let [rms, most] = edges_from_lines(&settings, options.degrees, [height, width]);
+        println!("edges of a card at ±{}°: {rms:.2} pixels from lines, 95 % within {most:.2}", options.degrees);
+        return options.common.write(&[Straight { degrees: options.degrees, rms, most }]);
+    }
     let mut textures = Vec::new();
     for folder in &options.textures {
         textures.extend(first_picture(folder, options.size)?);

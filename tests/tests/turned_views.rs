@@ -4,7 +4,7 @@ use streamsplat::stream::{Behind, DepthRange, Interval, MotionFrom, Reuse};
 use streamsplat::{Engine, Frame, RenderOptions, Settings};
 use streamsplat_fixtures::clip::cards::Cards;
 use streamsplat_kernels::Level;
-use streamsplat_tests::turned::{Depth, around, reconstruct, score};
+use streamsplat_tests::turned::{Depth, around, edges_from_lines, reconstruct, score};
 
 const SIZE: [usize; 2] = [144, 256];
 
@@ -26,6 +26,15 @@ fn true_depth_makes_views_from_the_side_true() {
     println!("off     {off:?}");
     assert!(with.behind >= off.behind + 0.2, "past edges there is more to see: {off:?} {with:?}");
     assert!(with.key >= off.key - 0.1, "the own view hides it: {off:?} {with:?}");
+}
+
+#[test]
+fn a_picture_without_depth_is_a_card_whose_edges_stay_straight() {
+    for (degrees, allowed) in [(10.0, 0.4), (20.0, 0.7)] {
+        let [rms, most] = edges_from_lines(&Settings::default(), degrees, [288, 512]);
+        println!("{degrees}°: {rms:.2} pixels, 95 % within {most:.2}");
+        assert!(most < allowed, "{degrees}°: {rms} pixels, 95 % within {most}, expected {allowed}");
+    }
 }
 
 #[test]

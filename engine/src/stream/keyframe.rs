@@ -17,6 +17,13 @@ use super::{Behind, DepthRange, EngineError, FlowEffort, Frame, SamplingMode, Se
 use crate::fit::{self, Placement};
 use crate::parallax::Found;
 
+/// y of a frame without depth.
+const CARD: f32 = 0.5;
+/// Share of a model's own relief that is left of it in a frame without depth. The relief is the order in which the model
+/// draws neighbours. Turned, it bends straight edges in steps of a patch; without it the turn itself would change the
+/// order. By `turned --straight`: half of it bends them half as much and costs the turned picture little.
+const RELIEF: f32 = 0.5;
+
 /// A key frame at the model's size, and the model's results for it.
 pub(super) struct KeyView {
     /// `[3, H, W]`
@@ -153,7 +160,7 @@ impl Context<'_> {
             view.map = map;
             return;
         }
-        view.gaussians = self.put_together(view);
+        view.gaussians = self.put_together(view, map.is_none());
         if let Some(AlignedMap { map, .. }) = &map {
             let memory = (self.settings.behind == Behind::On).then_some(memory);
             let (level, gaussians) = (self.level, Arc::make_mut(&mut view.gaussians));
@@ -167,10 +174,17 @@ impl Context<'_> {
         view.gaussians = self.coloured(view.gaussians.clone(), &view.added.held, &view.rgb, &|_| true);
     }
 
-    /// The Gaussians of a frame's tiles.
-    fn put_together(&self, view: &KeyView) -> Arc<StaticGaussians> {
+    /// The Gaussians of a frame's tiles; with `card` those of a frame without depth. Where depth is searched, a model that
+    /// ignores depth then has [`RELIEF`] of its own.
+    fn put_together(&self, view: &KeyView, card: bool) -> Arc<StaticGaussians> {
         let of_tiles = view.tiles.iter().map(|tile| tile.as_ref().map(|tile| tile.gaussians.clone()));
-        self.tiles.gaussians(&of_tiles.collect::<Vec<_>>())
+        let mut gaussians = self.tiles.gaussians(&of_tiles.collect::<Vec<_>>());
+        if card && self.settings.find_depth() && self.tiles.ignores_depth() {
+            for position in &mut Arc::make_mut(&mut gaussians).position {
+                position[1] = RELIEF.mul_add(position[1], (1.0 - RELIEF) * CARD);
+            }
+        }
+        gaussians
     }
 
     /// [`Context::finish`] for a frame without a map that keeps cells of the frame before. Cells marked
@@ -183,7 +197,7 @@ impl Context<'_> {
             return;
         }
         let mut gaussians = match view.tiles.iter().any(Option::is_some) {
-            true => Arc::unwrap_or_clone(self.put_together(view)),
+            true => Arc::unwrap_or_clone(self.put_together(view, true)),
             false => StaticGaussians::clone(&before.gaussians),
         };
         with_kept(&mut gaussians, &before.gaussians, cells);
