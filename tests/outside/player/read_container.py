@@ -188,8 +188,7 @@ class Container:
         return records
 
     def records(self, i):
-        """An interval's records: `mean`, `velocity`, `offset`, `gamma`, `opacity`, `scale`, `thickness`, `rgb`, `rgb_rate`, and the fields that are stored
-        unchanged."""
+        """An interval's records: `mean`, `velocity`, `offset`, `gamma`, `opacity`, `scale`, `thickness`, `rgb`, `rgb_rate`, and stored fields as they are."""
         q = self.whole(i)
         stack = lambda names, unit: np.stack([q[name] for name in names], 1) / unit
         colour = lambda g, r, b, unit: np.stack([q[r] + q[g], q[g], q[b] + q[g]], 1) / unit
