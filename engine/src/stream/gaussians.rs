@@ -177,7 +177,7 @@ impl Record {
     }
 
     /// Returns true if every number is finite, as [`motion::opacity_factor`] requires, the colour is finite throughout
-    /// the interval, and no scale, thickness or opacity is negative.
+    /// the interval, and no γ, scale, thickness or opacity is negative.
     pub fn is_sound(&self) -> bool {
         // Between the ends every rounded colour is between theirs.
         let any_sign =

@@ -1,16 +1,16 @@
 //! The online loop: key frames in, intervals of dynamic Gaussians out.
 //!
 //! ```text
-//! frame ─ fit ─ embed ─ static Gaussians ─┐
-//!                                         ├─ deform the pair ─ update ─ fuse ─ emit the interval ─ prune
-//! the frame before (kept) ────────────────┘
+//! frame ─ fit ─ static blocks ─┬─ embed ─ static Gaussians ─ lift ─ fit colours ─┐
+//!                              │                                                 ├─ fuse ─ fit rates ─ interval
+//! the frame before (kept) ─────┴─ motion: flow, or the network on the pair ──────┘
 //! ```
 //!
 //! [`Engine::push`] does this; results of the frame before are never computed again. `canonical` describes how
 //! Gaussians live from key frame to key frame, `matching` how they are matched.
 //!
-//! Motion and opacity inside an interval follow the deformation fields of StreamSplat (ICLR 2026) over a time that runs
-//! from 0 to 1, whatever the interval's length in seconds.
+//! Motion and opacity inside an interval have the form of StreamSplat's deformation fields (ICLR 2026) over a time that
+//! runs from 0 to 1, whatever the interval's length in seconds.
 
 mod between;
 mod canonical;

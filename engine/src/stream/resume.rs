@@ -2,8 +2,9 @@
 //!
 //! Embedding, tokens, condition and Gaussians of the last key frame are functions of that frame: they are computed
 //! again, to the same bits. A [`ResumePoint`] holds the rest: the canonical set, which is the survivors and the
-//! identities of the frame's Gaussians, and the depth that earlier frames determine. It is small compared with the
-//! results that need not be stored.
+//! identities of the frame's Gaussians, and what earlier frames determine: depth, colours of covered surfaces, and
+//! static blocks, for which the frame's picture and Gaussians are stored. Without static blocks it is small compared
+//! with the results that need not be stored.
 
 use std::sync::Arc;
 

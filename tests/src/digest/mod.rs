@@ -1,8 +1,8 @@
 //! One digest per computed item, for the bit contract: the same on every level, thread count, run and machine.
 //!
 //! Each [`Thing`] is small, so that all of them run in a minute on a real CPU and in some minutes on an emulated one.
-//! Together they cover every kernel, the network in each kind of configuration, and a short stream in both fusion
-//! modes.
+//! Together they cover every kernel except `exposure` and `fill` (some only through the network or a stream), the
+//! network in each kind of configuration, and a short stream in both fusion modes.
 
 mod kernels;
 mod network;
