@@ -270,13 +270,13 @@ fn slow_motion_is_measured_over_several_key_frames() {
     // of the last frame: earlier ones differ by up to four pixels.
     let right = motion([0.0; 3], [1.0, 0.0, 0.0]);
     let rgb = picture();
-    let run = |steps: u64| {
+    let run = |steps: u64, length: f64, most: f64| {
         let mut window = Window::default();
         let mut last = None;
         for step in 0..steps {
-            let [there, back] = flow(planes, right, 0.008);
+            let [there, back] = flow(planes, right, length);
             // The errors of both directions cancel in the round trip, as those of real flow often do.
-            let there = with_errors(there, step, 0.4);
+            let there = with_errors(there, step, most);
             let back =
                 Field { u: there.u.iter().map(|u| -u).collect(), v: there.v.iter().map(|v| -v).collect(), ..back };
             let evidence = Evidence { rgb: &rgb, there: &there, back: &back };
@@ -284,11 +284,14 @@ fn slow_motion_is_measured_over_several_key_frames() {
         }
         (last.map(|found| order(&found.map(Level::scalar(), &rgb, SIZE), planes)), window)
     };
-    let (one, _) = run(1);
-    let (eight, window) = run(9);
+    assert_eq!(run(1, 0.004, 0.05).0, None, "errors hide the parallax of one step");
+    let (eight, window) = run(9, 0.004, 0.05);
     assert_eq!(window.tracks.len(), 8, "older frames are forgotten");
-    let (one, eight) = (one.unwrap_or(0.5), eight.expect("parallax"));
-    assert!(eight > 0.9 && eight > one + 0.05, "{one} from one step, {eight} from eight");
+    let eight = eight.expect("parallax");
+    assert!(eight > 0.9, "{eight}");
+    // With errors four times as large some of the order is lost.
+    let worse = run(9, 0.004, 0.2).0.expect("parallax");
+    assert!((0.6..eight).contains(&worse), "{worse}");
 }
 
 #[test]
