@@ -413,9 +413,9 @@ fn flat(rgb: &[f32], [height, width]: [usize; 2], degrees: f64) -> Vec<f32> {
 /// How far straight edges of a picture that stands still are from straight lines once the camera is turned, in pixels:
 /// root mean square and 95th percentile over all rows of all edges.
 ///
-/// The picture has slanted bars. No depth is found in it, so it is reconstructed as a card, and the orthographic views of
-/// a card keep lines straight. In each row an edge is where brightness crosses the mean of both bars; the line is fitted
-/// by least squares.
+/// The picture has slanted bars. No depth is found in it, so it is reconstructed as a card, and the orthographic views
+/// of a card keep lines straight. In each row an edge is where brightness crosses the mean of both bars; the line is
+/// fitted by least squares.
 ///
 /// # Panics
 /// When the engine refuses a valid input.

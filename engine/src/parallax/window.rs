@@ -8,10 +8,10 @@
 //! u_k(p) = u_1(p) + u_{k−1}(p + u_1(p))        e_k(p)² = e_1(p)² + e_{k−1}(p + u_1(p))²
 //! ```
 //!
-//! with `u_1` the flow to the key frame before, `e_1` the distance by which the flow back misses `p`, and values between
-//! cells interpolated bilinearly. The baselines [`AGES`] are tried from the shortest on. Each estimates its own camera,
-//! or is skipped if it shows no parallax ([`NoParallax`](super::NoParallax)). The search ends as soon as the median
-//! parallax is [`ENOUGH`]: a longer baseline would only add errors of the chained flow.
+//! with `u_1` the flow to the key frame before, `e_1` the distance by which the flow back misses `p`, and values
+//! between cells interpolated bilinearly. The baselines [`AGES`] are tried from the shortest on. Each estimates its own
+//! camera, or is skipped if it shows no parallax ([`NoParallax`](super::NoParallax)). The search ends as soon as the
+//! median parallax is [`ENOUGH`]: a longer baseline would only add errors of the chained flow.
 //!
 //! The first baseline with parallax sets the scale. The others are brought to it by the weighted median ratio; inverse
 //! depth is the mean by confidence, summed from the shortest on. Confidence rises with the square of the parallax'

@@ -19,9 +19,9 @@ use crate::parallax::Found;
 
 /// y of a frame without depth.
 const CARD: f32 = 0.5;
-/// Share of a model's own relief that is left of it in a frame without depth. The relief is the order in which the model
-/// draws neighbours. Turned, it bends straight edges in steps of a patch; without it the turn itself would change the
-/// order. By `turned --straight`: half of it bends them half as much and costs the turned picture little.
+/// Share of a model's own relief that is left of it in a frame without depth. The relief is the order in which the
+/// model draws neighbours. Turned, it bends straight edges in steps of a patch; without it the turn itself would change
+/// the order. By `turned --straight`: half of it bends them half as much and costs the turned picture little.
 const RELIEF: f32 = 0.5;
 
 /// A key frame at the model's size, and the model's results for it.
@@ -174,8 +174,8 @@ impl Context<'_> {
         view.gaussians = self.coloured(view.gaussians.clone(), &view.added.held, &view.rgb, &|_| true);
     }
 
-    /// The Gaussians of a frame's tiles; with `card` those of a frame without depth. Where depth is searched, a model that
-    /// ignores depth then has [`RELIEF`] of its own.
+    /// The Gaussians of a frame's tiles; with `card` those of a frame without depth. Where depth is searched, a model
+    /// that ignores depth then has [`RELIEF`] of its own.
     fn put_together(&self, view: &KeyView, card: bool) -> Arc<StaticGaussians> {
         let of_tiles = view.tiles.iter().map(|tile| tile.as_ref().map(|tile| tile.gaussians.clone()));
         let mut gaussians = self.tiles.gaussians(&of_tiles.collect::<Vec<_>>());
