@@ -410,7 +410,7 @@ fn flat(rgb: &[f32], [height, width]: [usize; 2], degrees: f64) -> Vec<f32> {
     out
 }
 
-/// How far straight edges of a picture that stands still are from straight lines once the camera is turned, in pixels:
+/// How far straight edges of a static picture are from straight lines after the camera is turned, in pixels:
 /// root mean square and 95th percentile over all rows of all edges.
 ///
 /// The picture has slanted bars. No depth is found in it, so it is reconstructed as a card, and the orthographic views

@@ -8,7 +8,7 @@ use super::{CELL, Sight};
 /// Pixels between matches.
 const STEP: usize = 8;
 /// Minimum fraction of the grid that must have a match.
-const LEAST: f64 = 0.25;
+pub(super) const LEAST: f64 = 0.25;
 /// Eigenvalue of the structure tensor, in (grey levels per pixel)², at which the weight of the texture is ½.
 const HALF: f32 = 2.0;
 /// Pixels on each side over which the structure tensor is averaged.

@@ -121,7 +121,7 @@ pub struct Motion {
 /// The reason why there is no parallax.
 pub fn camera(level: Level, evidence: Evidence<'_>, stream: Stream) -> Result<Motion, NoParallax> {
     let sight = Sight::new(level, evidence);
-    sight.camera(&Track::of(&sight), stream, 0).map(|(motion, _)| motion)
+    sight.camera(&Track::of(&sight), stream, 0, None).map(|(motion, _)| motion)
 }
 
 /// Computes the inverse depth of the picture's cells from this interval, `before`, the result for the earlier picture,
@@ -135,7 +135,7 @@ pub fn find(
 ) -> (Option<Found>, Window) {
     let sight = Sight::new(level, evidence);
     let carried = before.map(|found| filter::carry(found, &sight));
-    let window = window.advance(&sight);
+    let window = window.advance(level, &sight);
     let now = window.cells(&sight, stream).map(|mut cells| {
         let before = carried.as_ref().and_then(|carried| carried.as_ref());
         bodies::settle(&mut cells, before.map(|(cells, _)| &cells[..]), &sight);
@@ -182,8 +182,15 @@ impl Sight<'_> {
     }
 
     /// The camera's motion along a track, and the median length of the parallax in pixels of a picture 512 pixels wide.
-    /// `part`: which part of the random stream is used.
-    fn camera(&self, track: &Track, stream: Stream, part: u64) -> Result<(Motion, f64), NoParallax> {
+    /// `part`: which part of the random stream is used. `shorter`: the motion along a shorter
+    /// track.
+    fn camera(
+        &self,
+        track: &Track,
+        stream: Stream,
+        part: u64,
+        shorter: Option<&Motion>,
+    ) -> Result<(Motion, f64), NoParallax> {
         let matches = matches::of(self, track).ok_or(NoParallax::Inconsistent)?;
         if matches::median_length(&matches) * self.focal < STILL * self.unit {
             return Err(NoParallax::Still);
@@ -193,7 +200,7 @@ impl Sight<'_> {
         if flat > FLAT && turning::share(&matches, fits) >= TURNS * flat {
             return Err(NoParallax::Flat);
         }
-        let motion = ransac::motion(&matches, fits, stream, part).ok_or(NoParallax::Inconsistent)?;
+        let motion = ransac::motion(&matches, fits, stream, part, shorter).ok_or(NoParallax::Inconsistent)?;
         let fit = epipolar::fit(&motion, &matches, fits);
         if fit.share < 0.5 || fit.ahead < 0.75 {
             return Err(NoParallax::Inconsistent);

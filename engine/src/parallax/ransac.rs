@@ -10,6 +10,8 @@ use super::triangulate::inverse_depth;
 
 /// Number of draws.
 const DRAWS: usize = 48;
+/// The same where the motion along a shorter baseline is known, from which the first one starts.
+const AGAIN: usize = 12;
 /// Matches per sample.
 const SAMPLE: usize = 40;
 /// Maximum number of matches on which motions are compared.
@@ -25,16 +27,25 @@ const ELEMENTS: u64 = 64;
 
 /// Returns the motion of least cost over the matches. Each draw starts from the rotation that explains all matches best
 /// and a random direction, and is refined on a sample.
-pub(super) fn motion(matches: &[Match], fits: f64, stream: Stream, part: u64) -> Option<Motion> {
+pub(super) fn motion(
+    matches: &[Match],
+    fits: f64,
+    stream: Stream,
+    part: u64,
+    shorter: Option<&Motion>,
+) -> Option<Motion> {
     let turn = rotation(matches, 4.0 * fits)?;
+    let draws = if shorter.is_some() { AGAIN } else { DRAWS };
     let every = matches.len().div_ceil(JURY);
     let jury = || matches.iter().step_by(every);
-    let mut drawn: Vec<(f64, Motion)> = (0..DRAWS as u64)
+    let mut drawn: Vec<(f64, Motion)> = (0..draws as u64)
         .filter_map(|draw| {
             let first = (part * DRAWS as u64 + draw) * ELEMENTS;
             let words = stream.words(first);
             let side = |word: u32| f64::from(word) / f64::from(u32::MAX) * 2.0 - 1.0;
-            let translation = DVec3::new(side(words[0]), side(words[1]), side(words[2])).try_normalize()?;
+            let random = DVec3::new(side(words[0]), side(words[1]), side(words[2]));
+            let translation =
+                shorter.filter(|_| draw == 0).map_or(random, |motion| motion.translation).try_normalize()?;
             let sample: Vec<&Match> = (1..=SAMPLE as u64)
                 .map(|k| &matches[((u64::from(stream.words(first + k)[0]) * matches.len() as u64) >> 32) as usize])
                 .collect();

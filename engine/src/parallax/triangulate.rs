@@ -42,7 +42,9 @@ pub(super) fn inverse_depth(motion: &Motion, one: DVec3, other: DVec3) -> (f64, 
     ((ax * bx + ay * by) / square, length / y.z, (ax * by - ay * bx).abs() / (length * y.z))
 }
 
-/// Returns all cells of the picture, with inverse depth in units of the median of the certain ones.
+/// Returns all cells of the picture, seen along `track` by a camera of this motion, with inverse depth in units of the
+/// median of the certain ones. Also returns the parallax, in pixels of a picture 512 pixels wide, that has a confidence
+/// of 1: `unit`, or the median of this track.
 pub(super) fn cells(sight: &Sight<'_>, track: &Track, motion: &Motion, unit: Option<f64>) -> (Vec<Cell>, f64) {
     let pixels = sight.focal / sight.unit;
     let count = sight.grid[0] * sight.grid[1];

@@ -17,9 +17,12 @@
 //! depth is the mean by confidence, summed from the shortest on. Confidence rises with the square of the parallax'
 //! length in pixels, so long baselines count more where the flow holds.
 
+use streamsplat_kernels::Level;
+use streamsplat_kernels::flow::{self, Field};
 use streamsplat_kernels::philox::Stream;
 
 use super::filter::{NEAREST, weighted_median};
+use super::matches::LEAST;
 use super::triangulate::{self, Cell};
 use super::{CELL, Sight};
 
@@ -29,6 +32,10 @@ pub(super) const LENGTH: usize = 8;
 const AGES: [usize; 4] = [1, 2, 4, LENGTH];
 /// Median length of the parallax, in pixels of a picture 512 pixels wide, that needs no longer baseline.
 const ENOUGH: f64 = 8.0;
+
+/// Median length of the flow, in the same pixels, from which on the errors of a chain that is twice as long outweigh its
+/// parallax.
+const FAR: f64 = 24.0;
 
 /// Where each cell of a key frame is in an earlier one.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -41,7 +48,8 @@ pub struct Track {
     pub astray: Vec<f32>,
 }
 
-/// The tracks of a key frame to those before it, the newest first, at most 8.
+/// The tracks of a key frame to those before it, the newest first: at most 8, and no longer than a quarter of the cells
+/// are seen.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Window {
     /// One track per earlier key frame.
@@ -64,30 +72,35 @@ impl Track {
         track
     }
 
-    /// Continues along `before`, a track of the frame that this one leads to.
-    fn then(&self, before: &Track, sight: &Sight<'_>) -> Track {
+    /// The median length of the displacement of the cells that are seen, in pixels; 0 without any.
+    fn length(&self) -> f32 {
+        let seen = (0..self.u.len()).filter(|cell| self.astray[*cell].is_finite());
+        let mut squares: Vec<f32> =
+            seen.map(|cell| self.u[cell] * self.u[cell] + self.v[cell] * self.v[cell]).collect();
+        if squares.is_empty() {
+            return 0.0;
+        }
+        let middle = squares.len() / 2;
+        squares.select_nth_unstable_by(middle, f32::total_cmp).1.sqrt()
+    }
+
+    /// Returns true if as large a part of the cells is seen as a camera's motion needs. Longer tracks see no more.
+    fn is_seen(&self) -> bool {
+        let seen = self.astray.iter().filter(|astray| astray.is_finite()).count();
+        seen as f64 >= LEAST * self.astray.len() as f64
+    }
+
+    /// Continues along `before`, a track of the frame that this one leads to. `step`: this track in cells.
+    fn then(&self, level: Level, step: &Field, before: &Track) -> Track {
+        let planes = [&before.u[..], &before.v, &before.astray].concat();
+        let far = flow::warp(level, &planes, step.size, step);
         let count = self.u.len();
         let mut track = Track { u: vec![0.0; count], v: vec![0.0; count], astray: vec![f32::INFINITY; count] };
-        let [rows, columns] = sight.grid;
-        let half = (CELL - 1) as f32 * 0.5;
-        let place = |at: f32, cells: usize| ((at - half) / CELL as f32).clamp(0.0, cells as f32 - 1.0);
-        for cell in (0..count).filter(|cell| self.astray[*cell].is_finite()) {
-            let [x, y] = sight.middle(cell);
-            let (x, y) = (place(x + self.u[cell], columns), place(y + self.v[cell], rows));
-            let (left, above) = (x as usize, y as usize);
-            let (right, below) = ((left + 1).min(columns - 1), (above + 1).min(rows - 1));
-            let (dx, dy) = (x - left as f32, y - above as f32);
-            let corners = [(above, left), (above, right), (below, left), (below, right)].map(|(r, c)| r * columns + c);
-            let weights = [(1.0 - dx) * (1.0 - dy), dx * (1.0 - dy), (1.0 - dx) * dy, dx * dy];
-            let mix = |plane: &[f32]| {
-                let weighted = corners.iter().zip(weights).filter(|(_, weight)| *weight > 0.0);
-                weighted.fold(0.0f32, |sum, (at, weight)| sum + weight * plane[*at])
-            };
-            let far = mix(&before.astray);
-            if far.is_finite() {
-                track.u[cell] = self.u[cell] + mix(&before.u);
-                track.v[cell] = self.v[cell] + mix(&before.v);
-                track.astray[cell] = (self.astray[cell] * self.astray[cell] + far * far).sqrt();
+        for cell in 0..count {
+            let [u, v, error] = [far[cell], far[count + cell], far[2 * count + cell]];
+            let astray = (self.astray[cell] * self.astray[cell] + error * error).sqrt();
+            if astray.is_finite() {
+                (track.u[cell], track.v[cell], track.astray[cell]) = (self.u[cell] + u, self.v[cell] + v, astray);
             }
         }
         track
@@ -96,11 +109,14 @@ impl Track {
 
 impl Window {
     /// The tracks of the picture that `sight` is of, if this window is that of the picture before.
-    pub(super) fn advance(&self, sight: &Sight<'_>) -> Window {
+    pub(super) fn advance(&self, level: Level, sight: &Sight<'_>) -> Window {
         let first = Track::of(sight);
         let cells = first.u.len();
+        let in_cells = |plane: &[f32]| plane.iter().map(|pixels| pixels / CELL as f32).collect();
+        let step = Field { size: sight.grid, u: in_cells(&first.u), v: in_cells(&first.v) };
         let before = self.tracks.iter().take(LENGTH - 1).take_while(|track| track.u.len() == cells);
-        let longer: Vec<Track> = before.map(|before| first.then(before, sight)).collect();
+        let longer = before.map(|before| first.then(level, &step, before)).take_while(Track::is_seen);
+        let longer: Vec<Track> = longer.collect();
         Window { tracks: std::iter::once(first).chain(longer).collect() }
     }
 
@@ -108,16 +124,20 @@ impl Window {
     /// parallax; `None` where none has any.
     pub(super) fn cells(&self, sight: &Sight<'_>, stream: Stream) -> Option<Vec<Cell>> {
         let mut joined: Option<(Vec<Cell>, f64)> = None;
-        for (index, age) in AGES.into_iter().enumerate() {
+        let mut shorter = None;
+        for (part, age) in AGES.into_iter().enumerate() {
             let Some(track) = self.tracks.get(age - 1) else { break };
-            let Ok((motion, parallax)) = sight.camera(track, stream, index as u64) else { continue };
-            let unit = joined.as_ref().map(|(_, unit)| *unit);
-            let (cells, unit) = triangulate::cells(sight, track, &motion, unit);
-            match &mut joined {
-                None => joined = Some((cells, unit)),
-                Some((joined, _)) => add(joined, &cells),
+            let mut enough = f64::from(track.length()) >= FAR * sight.unit;
+            if let Ok((motion, parallax)) = sight.camera(track, stream, part as u64, shorter.as_ref()) {
+                let (cells, unit) = triangulate::cells(sight, track, &motion, joined.as_ref().map(|(_, unit)| *unit));
+                match &mut joined {
+                    None => joined = Some((cells, unit)),
+                    Some((joined, _)) => add(joined, &cells),
+                }
+                enough |= parallax >= ENOUGH;
+                shorter = Some(motion);
             }
-            if parallax >= ENOUGH {
+            if enough {
                 break;
             }
         }

@@ -19,9 +19,9 @@ use crate::parallax::Found;
 
 /// y of a frame without depth.
 const CARD: f32 = 0.5;
-/// Share of a model's own relief that is left of it in a frame without depth. The relief is the order in which the
-/// model draws neighbours. Turned, it bends straight edges in steps of a patch; without it the turn itself would change
-/// the order. By `turned --straight`: half of it bends them half as much and costs the turned picture little.
+/// Factor on the model's own relief in a frame without depth. The relief is the order in which the model draws
+/// neighbours. In a turned view it bends straight edges in steps of a patch. Much smaller factors would let the turn
+/// change the order, which blurs the picture.
 const RELIEF: f32 = 0.5;
 
 /// A key frame at the model's size, and the model's results for it.

@@ -160,7 +160,7 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "auto|DIR|onnx:FILE"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub depth: Option<DepthSource>,
-        /// Properties of the depth network that its file does not give: size=N or WxH, multiple=N, mean=R/G/B,
+        /// Properties of the depth network that are not in its file: size=N or WxH, multiple=N, mean=R/G/B,
         /// std=R/G/B, metric, output=NAME, separated by commas; with a folder metric alone: its files hold depth, not
         /// inverse depth, and 0, infinity or no number where there is none [default: size=518,multiple=14 and
         /// ImageNet's mean and std]
@@ -172,7 +172,7 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "RANGE"))]
         #[serde(default, with = "text")]
         pub depth_range: Option<DepthScale>,
-        /// Gaussians behind what stands in front, where depth maps lift Gaussians: on adds them, off leaves nothing
+        /// Gaussians behind foreground objects, where depth maps lift Gaussians: on adds them, off leaves holes
         /// there [default: on]
         #[cfg_attr(feature = "clap", arg(long, value_name = "on|off"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
