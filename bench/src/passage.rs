@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, ensure};
+use streamsplat::folder;
 use streamsplat::gap::{Auto, Gap, grouped};
 use streamsplat::metrics::psnr;
 use streamsplat::picture::Picture;
 use streamsplat::render::Renderer;
-use streamsplat::source::{self, Source, TimedPicture, folder};
+use streamsplat::source::{self, Source, TimedPicture};
 use streamsplat::stream::{Reconstructor, Reuse};
 use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
 use streamsplat_model::Precision;
@@ -183,7 +184,7 @@ pub(crate) fn mean_square_error(images: &[Picture], others: &[Picture]) -> Resul
 pub(crate) fn clips(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let mut clips = Vec::new();
     for input in inputs {
-        if !input.is_dir() || folder::images(input).is_ok() {
+        if !input.is_dir() || folder::has_images(input) {
             clips.push(input.clone());
             continue;
         }

@@ -30,10 +30,9 @@
 //! A splat file becomes an image in eight lines: [`still`].
 //!
 //! Related modules: [`source`] reads videos, [`gap`] chooses key frames, and [`depth`] returns their depth maps, from
-//! files or a network ([`onnx`]). [`output`] and [`scene`] write and read results, [`export`] writes them for viewers,
-//! and [`import`] reads still scenes of other programs. [`view`] shows scenes in a browser. [`metrics`] and [`lpips`]
-//! measure pictures, [`track`] follows points through time, and [`difference`] measures how far two pictures differ and
-//! where.
+//! files or a network ([`onnx`]). [`output`] and [`scene`] write and read results, [`formats`] still scenes of other
+//! programs, and [`mod@open`] scenes of any kind. [`view`] shows scenes in a browser. [`metrics`] and [`lpips`] measure
+//! pictures, [`track`] follows points through time, and [`difference`] measures how far two pictures differ and where.
 //!
 //! Features: `onnx` ([`onnx`], [`lpips`], networks of [`depth`]) and `viewer` ([`view`]) are on unless turned off;
 //! `wgpu` draws on graphics cards, outside of the bit contract.
@@ -42,15 +41,16 @@
 pub mod camera;
 pub mod depth;
 pub mod difference;
-pub mod export;
 pub mod fit;
+pub mod folder;
+pub mod formats;
 pub mod gap;
-pub mod import;
 #[cfg(feature = "onnx")]
 pub mod lpips;
 pub mod metrics;
 #[cfg(feature = "onnx")]
 pub mod onnx;
+pub mod open;
 pub mod openexr;
 pub mod output;
 pub mod parallax;
@@ -71,6 +71,7 @@ pub mod track;
 pub mod view;
 #[cfg(feature = "wgpu")]
 pub mod wgpu;
+pub mod world;
 
 pub use camera::Camera;
 pub use render::{Image, RenderError, RenderOptions, Size};

@@ -9,8 +9,9 @@
 use streamsplat_kernels::raster::Projection;
 
 use crate::camera::Camera;
-use crate::render::{RenderError, Snapshot, View};
+use crate::render::{RenderError, View};
 use crate::space::{Hit, Picker, Ray, most_visible};
+use crate::stream::Snapshot;
 use crate::stream::{Interval, Record, Reference, Workers};
 
 /// A Gaussian at a pixel.

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use streamsplat::camera::{Pose, Rotation};
-use streamsplat::stream::{DepthRange, FAR, Interval, NEAR, Reconstructor};
+use streamsplat::stream::{DepthRange, Interval, Reconstructor};
+use streamsplat::world::{FAR, NEAR};
 use streamsplat::{Camera, Engine, EngineError, Frame, RenderOptions, Settings};
 use streamsplat_fixtures::clip::cards::{CardPicture, Cards};
 use streamsplat_kernels::Level;

@@ -96,7 +96,7 @@ fn every_target_has_its_fuzzer_and_no_other_folder_holds_regressions() {
 #[test]
 fn seeds_are_read_as_what_they_are() {
     use std::path::Path;
-    use streamsplat::{camera, depth, import, scene, source, splats};
+    use streamsplat::{camera, depth, formats, scene, source, splats};
     let all = |name: &str, good: &dyn Fn(&[u8]) -> bool| {
         let target = Target::named(name).expect("a target");
         for (i, seed) in (target.seeds)().iter().enumerate() {
@@ -107,9 +107,11 @@ fn seeds_are_read_as_what_they_are() {
     all("checkpoint", &|b| streamsplat_model::checkpoint::Checkpoint::from_storage(b.to_vec(), "seed").is_ok());
     all("scene_index", &|b| scene::Index::from_json(b).is_ok());
     all("camera", &|b| match colmap(b) {
-        Some(files) => camera::set::colmap::text(&files).is_ok() || camera::set::colmap::binary(&files).is_ok(),
+        Some(files) => {
+            formats::cameras::colmap::text(&files).is_ok() || formats::cameras::colmap::binary(&files).is_ok()
+        }
         None => {
-            let others = camera::set::parse(&text(b), Some([8, 5]));
+            let others = formats::cameras::parse(&text(b), Some([8, 5]));
             others.map_or_else(|| camera::file::parse(&text(b)).is_ok(), |set| set.is_ok())
         }
     });
@@ -118,10 +120,10 @@ fn seeds_are_read_as_what_they_are() {
         let name = if b.starts_with(b"\x93NUMPY") { "seed.npy" } else { "seed.png" };
         depth::decode_map(b, Path::new(name)).is_ok()
     });
-    let limits = import::Limits::default();
-    all("ksplat", &|b| import::ksplat(b).is_ok());
-    all("streamed_sog", &|b| import::level_plan(b, &limits, 1).is_ok());
-    all("spacetime", &|b| import::spacetime(b, &limits).is_ok());
+    let limits = formats::Limits::default();
+    all("ksplat", &|b| formats::ksplat::read(b).is_ok());
+    all("streamed_sog", &|b| formats::lod::plan(b, &limits, 1).is_ok());
+    all("spacetime", &|b| formats::spacetime::read(b, &limits).is_ok());
     all("splat", &|b| splats::Splats::from_safetensors(b).is_ok());
     all("y4m", &|b| {
         let mut stream = source::y4m::Y4m::new(b, Path::new("seed.y4m")).expect("a header");

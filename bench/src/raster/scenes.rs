@@ -1,7 +1,8 @@
 //! The scenes that are timed. All are generated from fixed seeds.
 
 use anyhow::{Context, Result};
-use streamsplat::render::{Snapshot, View};
+use streamsplat::render::View;
+use streamsplat::stream::Snapshot;
 use streamsplat::{Camera, Engine, Frame, Settings};
 use streamsplat_fixtures::clip::{Clip, ClipKind};
 pub(crate) use streamsplat_fixtures::random::Random;

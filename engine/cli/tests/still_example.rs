@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use streamsplat::export;
+use streamsplat::formats;
 use streamsplat::still::{Still, Values};
 
 #[path = "../../examples/still.rs"]
@@ -23,7 +23,7 @@ fn a_program_of_a_few_lines_draws_what_the_command_line_draws() {
     };
     let path = |name: &str| scratch.path().join(name).to_str().expect("text").to_owned();
     let file = path("garden.ply");
-    std::fs::write(&file, export::still::ply(&Still::of_values(values).expect("a scene"))).expect("writable");
+    std::fs::write(&file, formats::ply::write(&Still::of_values(values).expect("a scene")).bytes).expect("writable");
     let command = ["render", &file, "--size", "640x360", "--out", &path("expected.png"), "--quiet"];
     let program = Command::new(env!("CARGO_BIN_EXE_streamsplat")).args(command).status();
     assert!(program.expect("the program starts").success());

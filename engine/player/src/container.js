@@ -9,7 +9,7 @@ const [OF_HEADER, OF_TRAILER, OF_INDEX, OF_ENTRY] = [16, 48, 44, 96];
 const MOST_INDEX = 2 ** 26;
 const ALONE_EVERY = 8;
 const VERSION = 4;
-/** As in engine/src/import/limits.rs: bytes in memory per byte of the file, bytes allowed for any file, and bytes of a Gaussian and of a merge. */
+/** As in engine/src/formats/limits.rs: bytes in memory per byte of the file, bytes allowed for any file, and bytes of a Gaussian and of a merge. */
 const [RATIO, ALLOWED, OF_GAUSSIAN, OF_MERGE] = [256, 2 ** 24, 110, 16];
 
 const viewed = ({ buffer, byteOffset, byteLength }) => new DataView(buffer, byteOffset, byteLength);

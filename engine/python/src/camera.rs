@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use numpy::ndarray::{Array2, ArrayView2};
 use numpy::{IntoPyArray, PyArray2, PyReadonlyArray2};
 use pyo3::prelude::*;
-use streamsplat::camera::set::SizedCamera;
-use streamsplat::camera::{CameraFile, CameraPath, Lens, Pose, Rotation, set};
+use streamsplat::camera::{CameraPath, Lens, Pose, Rotation};
+use streamsplat::formats;
+use streamsplat::formats::cameras::{CameraFile, SizedCamera};
 use streamsplat::picture::{MAX_PIXELS, MAX_SIDE, size_is_allowed};
 
 use crate::arguments;
@@ -240,7 +241,7 @@ impl Camera {
 pub fn cameras(py: Python<'_>, path: PathBuf, size: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Camera>> {
     let size = size.map(arguments::pixels).transpose()?;
     present(&path)?;
-    let file = py.detach(|| set::open(&path, size)).map_err(no_cameras)?;
+    let file = py.detach(|| formats::cameras::open(&path, size)).map_err(no_cameras)?;
     let set = match file {
         CameraFile::Own(own) => {
             let several = own.views().len() > 1;
@@ -267,7 +268,7 @@ pub fn cameras(py: Python<'_>, path: PathBuf, size: Option<&Bound<'_, PyAny>>) -
 /// Reads one camera of a file: a path of this program's own, or the only camera of another's.
 pub fn of_file(path: &std::path::Path) -> PyResult<(CameraPath, Option<[usize; 2]>)> {
     present(path)?;
-    match set::open(path, None).map_err(no_cameras)? {
+    match formats::cameras::open(path, None).map_err(no_cameras)? {
         CameraFile::Own(own) => Ok((own, None)),
         CameraFile::Set(set) if set.cameras.len() == 1 => {
             let sized = set.cameras[0].camera.clone().map_err(|e| wrong(format!("{}: {e}", path.display())))?;

@@ -6,7 +6,7 @@ use std::path::Path;
 use pyo3::exceptions::{PyException, PyMemoryError, PyOSError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use streamsplat::RenderError;
-use streamsplat::camera::CameraFileError;
+use streamsplat::formats::cameras::CameraFileError;
 use streamsplat::output::OutputError;
 use streamsplat::scene::SceneError;
 use streamsplat::source::SourceError;

@@ -7,13 +7,14 @@ use numpy::ndarray::{ArrayView1, ArrayView2};
 use numpy::{Element, PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
-use streamsplat::export::Options;
 use streamsplat::fit::Placement;
+use streamsplat::formats::Options;
 use streamsplat::output::{picture_png, write_file};
 use streamsplat::picture::Picture;
-use streamsplat::render::{Renderer, Snapshot};
+use streamsplat::render::Renderer;
 use streamsplat::scene::{from_safetensors, to_safetensors};
 use streamsplat::still::Still;
+use streamsplat::stream::Snapshot;
 use streamsplat::stream::{DynamicGaussians, Workers};
 use streamsplat_kernels::Level;
 

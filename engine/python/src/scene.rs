@@ -8,7 +8,9 @@ use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PySlice};
 use streamsplat::Size;
-use streamsplat::import::{self, Limits, Opened, Spacetime, StillFile};
+use streamsplat::formats::Limits;
+use streamsplat::formats::spacetime::Spacetime;
+use streamsplat::open::{self, Opened, StillFile};
 use streamsplat::render::Renderer;
 use streamsplat::scene;
 use streamsplat::stream::Workers;
@@ -111,7 +113,7 @@ impl Scene {
         let level = Level::named(isa).map_err(|e| wrong(format!("isa: {e}")))?;
         present(&path)?;
         let workers = Workers::new(level, threads).map_err(failed)?;
-        let opened = py.detach(|| workers.install(|| import::open(&path, &Limits::default()))).map_err(not_opened)?;
+        let opened = py.detach(|| workers.install(|| open::scene(&path, &Limits::default()))).map_err(not_opened)?;
         let kind = match opened {
             Opened::Moving(scene) => Kind::Moving(scene),
             Opened::Still(StillFile { still, in_time, format, notes, .. }) => {

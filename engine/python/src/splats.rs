@@ -10,13 +10,13 @@ use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use streamsplat::camera::Rotation;
-use streamsplat::camera::turn::Angles;
-use streamsplat::export::Options;
-use streamsplat::import::{FORMATS, Format, GAUSSIANS, Limits};
+use streamsplat::formats::Options;
+use streamsplat::formats::{FORMATS, Format, Limits};
 use streamsplat::output::{picture_png, write_file};
 use streamsplat::picture::Picture;
 use streamsplat::render::Renderer;
-use streamsplat::still::{Drawable, Framing, Still, Values};
+use streamsplat::render::turn::Angles;
+use streamsplat::still::{Drawable, Framing, GAUSSIANS, Still, Values};
 use streamsplat::stream::Workers;
 use streamsplat::{RenderOptions, Size};
 use streamsplat_kernels::{Level, harmonics};
@@ -263,7 +263,7 @@ impl Splats {
     #[pyo3(signature = (data, name=""))]
     fn of_bytes(py: Python<'_>, data: &[u8], name: &str) -> PyResult<Self> {
         let workers = Workers::new(Level::detect(), 0).map_err(failed)?;
-        let still = py.detach(|| streamsplat::import::read(data, name, &Limits::default())).map_err(failed)?;
+        let still = py.detach(|| streamsplat::formats::read(data, name, &Limits::default())).map_err(failed)?;
         Self::new(still, None, &workers)
     }
 
@@ -441,7 +441,7 @@ impl Splats {
     /// Returns arrays for pickling.
     fn __reduce__<'py>(this: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyBytes>, Vec<u64>))> {
         let own = this.get();
-        let file = this.py().detach(|| streamsplat::export::still::ply(own.still()));
+        let file = this.py().detach(|| streamsplat::formats::ply::write(own.still()).bytes);
         let make = this.get_type().getattr("_of_parts")?;
         Ok((make, (PyBytes::new(this.py(), &file), own.identities.clone())))
     }

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
-use streamsplat::import::StillFile;
+use streamsplat::open::StillFile;
 use streamsplat::scene;
 use streamsplat::still::Still;
 use streamsplat::stream::Workers;

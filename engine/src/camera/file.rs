@@ -109,11 +109,11 @@ struct View {
 /// Text that is not JSON of this form, and views with invalid values; the error names the view and the key.
 pub fn parse(json: &str) -> Result<CameraPath, CameraError> {
     let form = |[expected, found]: [String; 2]| CameraError::Form(format!("expected {expected}, found {found}"));
-    from_value(super::set::json::value(json.as_bytes()).map_err(form)?)
+    from_value(super::json::value(json.as_bytes()).map_err(form)?)
 }
 
 /// Reads a camera file as [`parse`] does, from parsed JSON.
-pub(super) fn from_value(value: serde_json::Value) -> Result<CameraPath, CameraError> {
+pub(crate) fn from_value(value: serde_json::Value) -> Result<CameraPath, CameraError> {
     let form = |e: serde_json::Error| CameraError::Form(e.to_string());
     if value.get("views").is_none() {
         let view: View = serde_json::from_value(value).map_err(form)?;

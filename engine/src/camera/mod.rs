@@ -17,21 +17,20 @@
 //! all around:    u = (λ/2π + ½)·W − ½   v = (φ/π + ½)·H − ½  longitude λ = atan2(X, Z), latitude φ = asin(Y/√(X² + Y² + Z²))
 //! ```
 //!
-//! with pixel centres at integers. [`mod@file`] describes the JSON form, [`CameraPath`] moving cameras, [`mod@set`] the
-//! files of other programs, and [`turn`] cameras around one point.
+//! with pixel centres at integers. [`mod@file`] describes the JSON form, [`CameraPath`] moving cameras.
+//! [`cameras`](crate::formats::cameras) reads the files of other programs, [`turn`](crate::render::turn) turns a camera
+//! around one point.
 
 pub mod file;
+pub(crate) mod json;
 mod path;
 mod pose;
-pub mod set;
-pub mod turn;
 
 use streamsplat_kernels::math::f64::sin_cos;
 
 pub use file::CameraError;
 pub use path::CameraPath;
 pub use pose::{Pose, Rotation};
-pub use set::{CameraFile, CameraFileError, CameraSet, NamedCamera};
 
 /// A view of the scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -17,8 +17,9 @@ use std::path::{Path, PathBuf};
 use image::DynamicImage;
 
 use super::{DepthError, exr, npy};
+use crate::folder;
 use crate::picture::resize_planes;
-use crate::source::{decode, folder};
+use crate::source::{SourceError, decode};
 
 /// File name endings taken as depth maps.
 pub const EXTENSIONS: [&str; 5] = ["exr", "png", "npy", "tif", "tiff"];
@@ -103,7 +104,7 @@ impl DepthMaps {
         range: Range,
         kind: Values,
     ) -> Result<DepthMaps, DepthError> {
-        let listed = folder::list(folder, &EXTENSIONS)?;
+        let listed = folder::list(folder, &EXTENSIONS).map_err(SourceError::read(folder))?;
         if listed.is_empty() {
             return Err(DepthError::Empty(folder.to_owned()));
         }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use super::OnnxError;
-use crate::source::natural;
+use crate::folder::natural;
 
 /// File name of the library; on Linux and macOS the name may contain a version.
 const LIBRARY: &str = if cfg!(windows) {

@@ -17,7 +17,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use crate::openexr::{self, NamedLayer, Planes};
 use crate::picture::{Picture, to_u8};
 use crate::render::Image;
-pub use video::{Finished, Pace, Sound, VIDEOS, Video, VideoFormat, VideoPoint, holds_sound, qualities};
+pub use video::{Finished, Pace, VIDEOS, Video, VideoFormat, VideoPoint, holds_sound, qualities};
 
 /// Errors of writing results.
 #[derive(Debug, thiserror::Error)]

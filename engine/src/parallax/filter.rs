@@ -4,7 +4,7 @@ use streamsplat_kernels::{Level, resize};
 
 use super::triangulate::Cell;
 use super::{CELL, Sight, bodies, fill};
-use crate::stream::{map_value, scene_depth};
+use crate::world::{map_value, scene_depth};
 
 /// Largest inverse depth kept, in units of the first median.
 pub(super) const NEAREST: f32 = 20.0;

@@ -7,7 +7,6 @@ use flate2::read::GzDecoder;
 use zip::ZipArchive;
 
 use super::{Head, Kind};
-use crate::import::MAX_FILE;
 
 /// First bytes, the format's name, and the program that unpacks it.
 const MAGIC: [(&[u8], &str, &str); 6] = [
@@ -62,10 +61,13 @@ fn gzip(head: &Head<'_>) -> Option<Kind> {
     Some(Kind::Other(format!("a gzip file{of}"), format!("unpack it first ({tool})")))
 }
 
+/// Longest zip file whose names are read, in bytes.
+const MAX_ZIP: u64 = 16 << 30;
+
 /// Recognises a zip file that is no SOG file.
 fn zip(head: &Head<'_>) -> Option<Kind> {
     let other = |found: &str, advice: String| Some(Kind::Other(found.to_owned(), advice));
-    if head.length > MAX_FILE {
+    if head.length > MAX_ZIP {
         return None;
     }
     // A broken archive is left to the reader, whose error is more specific.

@@ -2,20 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use super::Kind;
-use crate::import::FORMATS;
-use crate::scene::INDEX;
-use crate::source::folder::{self, ends_in};
-use crate::source::natural;
+use super::{Kind, SCENE_INDEX};
+use crate::folder::{ends_in, has_images, natural};
 
 /// Endings of videos that are named in a message.
 const VIDEOS: [&str; 6] = ["mp4", "mov", "mkv", "webm", "avi", "y4m"];
-/// Endings of scenes that are not named in [`FORMATS`].
-const MORE: [&str; 3] = ["ssz", "ksplat", "gltf"];
+/// Last endings of the names of scenes.
+pub(crate) const SCENES: [&str; 8] = ["ply", "spz", "sog", "glb", "splat", "ssz", "ksplat", "gltf"];
 
 pub(super) fn kind(path: &Path) -> Option<Kind> {
     let other = |found: String, advice: String| Some(Kind::Other(found, advice));
-    if path.join(INDEX).exists() || path.join("scene").join(INDEX).exists() {
+    if path.join(SCENE_INDEX).exists() || path.join("scene").join(SCENE_INDEX).exists() {
         return Some(Kind::Scene("folder"));
     }
     if let Some(index) = index(path) {
@@ -28,7 +25,7 @@ pub(super) fn kind(path: &Path) -> Option<Kind> {
         if !own.is_file() {
             continue;
         }
-        if FORMATS.iter().any(|format| format.names(&own)) || ends_in(&own, &MORE) {
+        if ends_in(&own, &SCENES) {
             scenes.push(own);
         } else if ends_in(&own, &VIDEOS) {
             videos.push(own);
@@ -51,7 +48,7 @@ pub(super) fn kind(path: &Path) -> Option<Kind> {
             format!("name the file: {}", trained.display()),
         );
     }
-    if folder::images(path).is_ok() {
+    if has_images(path) {
         return Some(Kind::Images);
     }
     if let Some(first) = videos.first() {

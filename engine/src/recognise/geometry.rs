@@ -5,8 +5,7 @@ use std::io::Read;
 
 use serde_json::Value;
 
-use super::{Head, Kind};
-use crate::scene;
+use super::{CONTAINER_MAGIC, Head, Kind};
 
 /// Longest JSON of a glTF file that is read, in bytes.
 const MAX_GLTF: u64 = 1 << 26;
@@ -36,7 +35,7 @@ pub(super) fn kind(head: &Head<'_>) -> Option<Kind> {
     if head.starts(b"glTF") {
         return gltf(head);
     }
-    if head.starts(&scene::MAGIC) {
+    if head.starts(&CONTAINER_MAGIC) {
         return Some(Kind::Scene("container"));
     }
     if head.starts(b"NGSP") {

@@ -25,10 +25,16 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use crate::scene;
+use crate::folder::{ends_in, has_images};
+#[cfg(test)]
+pub(crate) use folder::SCENES;
 pub(crate) use folder::index;
 pub use media::Media;
 
+/// The name of the index of a scene in a folder.
+pub const SCENE_INDEX: &str = "scene.json";
+/// The first bytes of a container.
+pub const CONTAINER_MAGIC: [u8; 8] = *b"ssplat\x1a\n";
 /// Number of first bytes that are read.
 const HEAD: u64 = 1 << 16;
 
@@ -92,7 +98,7 @@ impl Head<'_> {
 
     /// Returns true if the file's name has one of these endings.
     fn named(&self, endings: &[&str]) -> bool {
-        crate::source::folder::ends_in(self.path, endings)
+        ends_in(self.path, endings)
     }
 }
 
@@ -103,7 +109,7 @@ pub fn kind(path: &Path) -> Option<Kind> {
     }
     let about = path.metadata().ok().filter(|about| about.is_file())?;
     // An empty file is a valid `.splat` scene without Gaussians.
-    if about.len() == 0 && !crate::source::folder::ends_in(path, &["splat"]) {
+    if about.len() == 0 && !ends_in(path, &["splat"]) {
         return Some(Kind::Other("an empty file (0 bytes)".into(), "it was not written or not copied".into()));
     }
     let mut bytes = Vec::new();
@@ -116,7 +122,7 @@ pub fn kind(path: &Path) -> Option<Kind> {
         return other.or(Some(Kind::Scene("splats")));
     }
     let index = |name: &str| path.file_name().is_some_and(|found| found == name);
-    if index(scene::INDEX) {
+    if index(SCENE_INDEX) {
         return Some(Kind::Scene("folder"));
     }
     other.or_else(|| geometry::kind(&head)).or_else(|| media::kind(&head)).or_else(|| text(&head))
@@ -185,7 +191,7 @@ pub fn not_a_video(path: &Path) -> Option<Wrong> {
         return None;
     }
     // A folder with images is a video, even if it contains other files.
-    if path.is_dir() && crate::source::folder::images(path).is_ok() {
+    if path.is_dir() && has_images(path) {
         return None;
     }
     match kind(path)? {

@@ -3,14 +3,10 @@
 //! The Gaussians are evaluated at the time ([`Record::position_at`](crate::stream::Record::position_at) and
 //! [`opacity_at`](crate::stream::Record::opacity_at)) and transformed into scene space and into the camera's view,
 //! which the kernels rasterise. Scene space is x right, y down, z forward, with x and y in [−1, 1] over the model's
-//! input and
-//! ```text
-//! z = 1 / (9.8·y + 0.2 + 10⁻⁶)   for normalised inverse depths y in [0, 1]; Gaussians outside are not drawn
-//! ```
-//!
+//! input, and z as in [`world`](crate::world),
 //! and standard deviations (s_x, s_z, s_y) along these axes (StreamSplat (ICLR 2026), camera and image). The canonical
 //! camera is axis-aligned, so its splats need no rotation. Other cameras see the scene in [square
-//! units](Snapshot::square) and rotate every Gaussian by the inverse of their own rotation.
+//! units](crate::stream::Snapshot::square) and rotate every Gaussian by the inverse of their own rotation.
 //!
 //! A canonical image shows the content of the model's input, without the border that the frame's shape left. Its
 //! Gaussians are drawn at the requested size, not scaled from an image.
@@ -18,6 +14,7 @@
 mod backend;
 mod optics;
 mod options;
+pub mod turn;
 mod view;
 
 pub use backend::Backend;
@@ -25,13 +22,13 @@ pub use optics::{Aperture, Focus, SENSOR_HEIGHT};
 pub use options::{RenderError, RenderOptions, Size};
 pub use streamsplat_kernels::exposure::Exposure;
 pub use streamsplat_kernels::raster::{Falloff, Image};
-pub use view::{Snapshot, View, to_scene};
+pub use view::View;
 
 use backend::Rasteriser;
 use streamsplat_kernels::raster::{self, Gaussians};
 
 use crate::camera::Camera;
-use crate::stream::{Interval, Workers};
+use crate::stream::{Interval, Snapshot, Workers};
 
 impl Interval {
     /// Draws the scene at `time` seconds, seen by `camera`, with `workers`.

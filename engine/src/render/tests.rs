@@ -4,7 +4,9 @@ use streamsplat_kernels::raster::Projection;
 use super::*;
 use crate::camera::{Lens, Pose, Rotation};
 use crate::fit::{Fit, Placement};
+use crate::formats;
 use crate::stream::{DynamicGaussians, Record, Workers};
+use crate::world::to_scene;
 
 /// A lattice of splats with some depth, over a 24×40 model input.
 fn interval(source: [usize; 2]) -> Interval {
@@ -235,8 +237,9 @@ fn a_colour_that_changes_is_halfway_there_at_half_time() {
         assert!(draw(&changing, time) == draw(&painted(rgb), time), "{time}");
         // Files of one time hold the Gaussians visible then.
         let expected = Snapshot::of(&painted(rgb), time, &workers()).expect("inside");
-        for write in [crate::export::ply, crate::export::splat, crate::export::spz] {
-            assert!(write(&snapshot) == write(&expected), "{time}");
+        for format in &formats::FORMATS {
+            let write = |snapshot| (format.snapshot)(snapshot, &formats::Options::default());
+            assert_eq!(write(&snapshot), write(&expected), "{time}");
         }
     }
     // Seen backward, from the end.

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
-use crate::camera::{Camera, turn};
-use crate::render::{Backend, Exposure, Renderer, View};
+use crate::camera::Camera;
+use crate::render::{Backend, Exposure, Renderer, View, turn};
 use crate::still::Drawable;
 use crate::stream::{Interval, Workers};
 use crate::{Image, RenderError, RenderOptions};

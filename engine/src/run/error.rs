@@ -1,7 +1,7 @@
 //! Why a run failed.
 
-use crate::camera::CameraFileError;
 use crate::depth::DepthError;
+use crate::formats::cameras::CameraFileError;
 use crate::output::OutputError;
 use crate::scene::SceneError;
 use crate::source::SourceError;

@@ -4,14 +4,17 @@ use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 
 use crate::Image;
-use crate::export;
+use crate::formats;
 use crate::output::{
-    OutputError, Pace, Sound, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, picture_webp,
+    OutputError, Pace, Video, VideoPoint, Written, depth_exr, folder_of, layered_exr, picture_png, picture_webp,
     plane_png, prepare_subfolder, storage, transparent_exr, transparent_png, write_whole,
 };
 use crate::picture::Picture;
-use crate::render::{Backend, Snapshot};
+use crate::render::Backend;
 use crate::scene::{ContainerWriter, IntervalEntry, SceneWriter, to_safetensors};
+use crate::source::Sound;
+use crate::still::Still;
+use crate::stream::Snapshot;
 use crate::stream::{Interval, ResumePoint, Workers};
 
 use crate::run::Error;
@@ -265,7 +268,10 @@ impl Outputs {
     /// requested. `workers` encode a container.
     pub fn interval(&mut self, interval: &Interval, frames: &[f64], workers: &Workers) -> Result<(), Error> {
         if self.emit.tracks {
-            self.file(format!("tracks/interval-{:06}.csv", interval.index), export::tracks(interval).as_bytes())?;
+            self.file(
+                format!("tracks/interval-{:06}.csv", interval.index),
+                formats::tracks::write(interval).as_bytes(),
+            )?;
         }
         if let Some(container) = &mut self.container {
             container.push_with(interval, frames, workers)?;
@@ -321,7 +327,7 @@ impl Outputs {
 
     /// Writes the Gaussians of one time as number `index`.
     pub fn snapshot(&mut self, index: usize, snapshot: &Snapshot) -> Result<(), Error> {
-        Ok(self.file(format!("ply/{index:06}.ply"), &export::ply(snapshot))?)
+        Ok(self.file(format!("ply/{index:06}.ply"), &formats::ply::write(&Still::of(snapshot)).bytes)?)
     }
 
     /// Ends after a failure: completes the index of the intervals that were written. A y4m file keeps its temporary

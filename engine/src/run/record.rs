@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::time::Instant;
 
-use crate::import::read_text;
+use crate::formats::read_text;
 use crate::stream::{StageWork, Work, Workers};
 use serde::{Deserialize, Serialize};
 

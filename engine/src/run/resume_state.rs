@@ -22,7 +22,7 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-use crate::import::read_file;
+use crate::formats::read_file;
 use crate::output::{OutputError, Video, VideoPoint, partial_name, storage};
 use crate::scene::{resume_point_from_safetensors, resume_point_to_safetensors};
 use crate::stream::ResumePoint;

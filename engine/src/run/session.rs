@@ -18,10 +18,11 @@ use super::resume_state::{Found, Point};
 use super::terms::{Terms, with_absolute_paths};
 use super::views::Views;
 use super::{Error, Observer, Shown, Step, Stop};
-use crate::output::{Pace, Sound, VideoFormat, holds_sound};
+use crate::output::{Pace, VideoFormat, holds_sound};
 use crate::picture::Picture;
-use crate::render::Snapshot;
+use crate::source::Sound;
 use crate::source::{self, Source};
+use crate::stream::Snapshot;
 use crate::stream::{Interval, MotionFrom, ResumePoint, Reuse};
 use crate::{Engine, Image};
 

@@ -3,8 +3,9 @@
 use super::Error;
 use super::options::motion::Course;
 use super::options::{Background, Fill, Times, ViewOptions};
-use crate::camera::{self, CameraFile, CameraPath};
-use crate::import::FormatError;
+use crate::camera::CameraPath;
+use crate::formats::FormatError;
+use crate::formats::cameras::{self, CameraFile, CameraSet};
 use crate::render::Backend;
 use crate::{RenderOptions, Size};
 
@@ -133,7 +134,7 @@ impl ViewOptions {
             Size::Exact { width, height } => Some([width, height]),
             _ => None,
         };
-        let set = match (camera::set::open(file, size)?, &self.view) {
+        let set = match (cameras::open(file, size)?, &self.view) {
             (CameraFile::Own(path), None) => return Ok(Cameras { path, ..Cameras::default() }),
             (CameraFile::Own(_), Some(view)) => {
                 let file = file.display();
@@ -150,7 +151,7 @@ impl ViewOptions {
             Some(text) => {
                 let camera =
                     set.find(text).map_err(|e| Error::usage(format!("--view: {}: {e}", file.display())))?.clone();
-                camera::CameraSet { cameras: vec![camera], aside: Vec::new(), rate: None, ..set }
+                CameraSet { cameras: vec![camera], aside: Vec::new(), rate: None, ..set }
             }
         };
         let refused = |e: FormatError| {

@@ -27,8 +27,9 @@ use std::path::Path;
 
 use half::f16;
 
+use crate::folder;
+use crate::source::SourceError;
 use crate::source::decode::read_file;
-use crate::source::{SourceError, folder};
 pub use pair::{Pair, pair};
 
 /// Samples of one type.

@@ -37,17 +37,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::fit::Placement;
 use crate::output::OutputError;
+pub use crate::recognise::{CONTAINER_MAGIC as MAGIC, SCENE_INDEX as INDEX};
 #[cfg(feature = "viewer")]
 pub(crate) use container::{COARSENESS, ImageChunks};
-pub use container::{CONTAINER_VERSION, ContainerWriter, MAGIC, intervals_from_container};
+pub use container::{CONTAINER_VERSION, ContainerWriter, intervals_from_container};
 pub use interval::{from_safetensors, to_safetensors};
 pub use join::{Join, Joined};
 pub use read::Scene;
 pub use resume_point::{resume_point_from_safetensors, resume_point_to_safetensors};
 pub use write::SceneWriter;
 
-/// The name of a scene's index.
-pub const INDEX: &str = "scene.json";
 /// Value of `format` in a scene's index.
 pub const FORMAT: &str = "streamsplat-scene";
 /// The version this program writes and reads.

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use super::container::Container;
 use super::{FORMAT, INDEX, Index, IntervalEntry, SceneError, VERSION, from_safetensors};
 use crate::fit::Placement;
-use crate::import::{Limits, read_file};
+use crate::formats::{Limits, read_file};
 use crate::stream::Interval;
 
 /// Largest index read, in bytes.

@@ -26,7 +26,7 @@ pub enum SourceError {
         address: String,
     },
     /// A folder without images.
-    #[error("{}: the folder holds no image (expected files ending in {})", path.display(), super::folder::EXTENSIONS.join(", "))]
+    #[error("{}: the folder holds no image (expected files ending in {})", path.display(), crate::folder::EXTENSIONS.join(", "))]
     EmptyFolder {
         /// The folder.
         path: PathBuf,

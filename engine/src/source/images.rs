@@ -2,8 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use super::SourceError;
 use super::decode::{self, Sequence, Several, Still};
-use super::{SourceError, folder};
+use crate::folder;
 use crate::picture::Picture;
 
 /// Image files being read, one frame at a time.
@@ -24,7 +25,11 @@ impl Images {
     /// # Errors
     /// A folder that cannot be read or has no image.
     pub fn folder(path: &Path) -> Result<Images, SourceError> {
-        Ok(Images::new(folder::images(path)?, None))
+        let files = folder::images(path).map_err(SourceError::read(path))?;
+        if files.is_empty() {
+            return Err(SourceError::EmptyFolder { path: path.to_owned() });
+        }
+        Ok(Images::new(files, None))
     }
 
     /// Opens the frames of one file.

@@ -2,7 +2,7 @@
 //!
 //! | input | meaning |
 //! |---|---|
-//! | a folder | its images ([`folder::EXTENSIONS`]) in natural order; hidden and other files are ignored |
+//! | a folder | its images ([`EXTENSIONS`](folder::EXTENSIONS)) in natural order; hidden and other files are ignored |
 //! | an image file | a video of one frame; for an animated PNG or WebP, of all its frames; for a TIFF, of its pages |
 //! | `*.y4m`, or a file that starts as one | read by [`y4m`] |
 //! | `-` | y4m on standard input |
@@ -17,17 +17,16 @@ pub mod colour;
 pub mod decode;
 mod error;
 pub mod ffmpeg;
-pub mod folder;
 mod images;
 mod memory;
-pub mod natural;
+mod sound;
 pub mod y4m;
 
 use std::fs::File;
 use std::io::{BufReader, Read, Stdin};
 use std::path::{Path, PathBuf};
 
-use crate::output::Sound;
+use crate::folder;
 use crate::picture::{Picture, size_is_allowed};
 use crate::recognise;
 use colour::Matrix;
@@ -36,6 +35,7 @@ use ffmpeg::Ffmpeg;
 use images::Images;
 use memory::Memory;
 pub use memory::{FrameInMemory, MEMORY};
+pub use sound::Sound;
 use y4m::Y4m;
 
 /// The header of a y4m frame without parameters.
@@ -365,6 +365,13 @@ mod tests {
 
     fn write_png(path: &Path, width: u32, height: u32) {
         image::RgbImage::from_fn(width, height, |x, y| image::Rgb([x as u8, y as u8, 9])).save(path).expect("writable");
+    }
+
+    #[test]
+    fn an_empty_folder_is_an_error_that_names_it() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let error = Source::open(folder.path(), &Options::default()).err().expect("empty").to_string();
+        assert!(error.contains(&folder.path().display().to_string()), "{error}");
     }
 
     #[test]

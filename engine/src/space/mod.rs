@@ -40,7 +40,7 @@ use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::builder::build_bvh2;
 
-use crate::render::Snapshot;
+use crate::stream::Snapshot;
 
 /// An axis-aligned box.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,7 +3,7 @@
 use streamsplat_kernels::math::f64::exp;
 
 use super::{Bounds, Tree, reach};
-use crate::render::Snapshot;
+use crate::stream::Snapshot;
 
 /// A ray in scene space (x right, y down, z forward).
 #[derive(Clone, Copy, Debug, PartialEq)]

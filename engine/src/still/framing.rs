@@ -2,8 +2,8 @@
 
 use super::statistics::quantiles;
 use super::{Orbit, Still};
-use crate::camera::turn::Angles;
 use crate::camera::{Camera, Lens, Pose};
+use crate::render::turn::Angles;
 use streamsplat_kernels::math::f64::sin_cos;
 
 /// Vertical field of view in degrees.

@@ -10,7 +10,7 @@
 //! space (x right, y down, z forward), units the file's own. A still scene has no time, no camera of its own, and no
 //! identities.
 //!
-//! From a file of any supported [format](crate::import) and a camera to an image:
+//! From a file of any supported [format](crate::formats) and a camera to an image:
 //!
 //! ```no_run
 //! use streamsplat::still::{Drawable, Still};
@@ -30,10 +30,10 @@
 //! ```
 //! use streamsplat::camera::{Camera, Pose};
 //! use streamsplat::still::{Drawable, Still, Values};
-//! use streamsplat::{Level, RenderOptions, Size, Workers, export};
+//! use streamsplat::{Level, RenderOptions, Size, Workers, formats};
 //!
 //! let values = Values { mean: vec![[0.0, 0.0, 2.0]], scale: vec![[0.2; 3]], opacity: vec![0.9], rgb: vec![[1.0, 0.5, 0.0]], ..Values::default() };
-//! let file: Vec<u8> = export::still::ply(&Still::of_values(values)?);
+//! let file: Vec<u8> = formats::ply::write(&Still::of_values(values)?).bytes;
 //!
 //! let workers = Workers::new(Level::detect(), 2)?;
 //! let scene = Drawable::new(Still::read(&file)?, &workers)?;
@@ -65,16 +65,12 @@ pub use sound::Defect;
 pub(crate) use statistics::middle;
 pub use statistics::{Spread, Statistics};
 pub use turn::Similarity;
-pub use values::{Values, ValuesError};
-
-use std::path::Path;
+pub use values::{GAUSSIANS, Values, ValuesError};
 
 use streamsplat_kernels::harmonics;
 use streamsplat_kernels::math::f64::ln;
 
-use crate::import::{self, FormatError, Limits, Opened};
-use crate::render::Snapshot;
-use crate::scene::SceneError;
+use crate::stream::Snapshot;
 
 /// The least scale, and the least distance of opacities from 0 and 1, before a logarithm.
 pub(crate) const LEAST: f64 = 1e-12;
@@ -117,28 +113,6 @@ pub struct Still {
 }
 
 impl Still {
-    /// Opens a file in one of the supported [formats](crate::import); for Gaussians that change in time, at the time 0.
-    ///
-    /// # Errors
-    /// A file that cannot be read, has other content, is broken, or exceeds the default [`Limits`]; a scene in time.
-    pub fn open(path: impl AsRef<Path>) -> Result<Still, SceneError> {
-        match import::open(path.as_ref(), &Limits::default())? {
-            Opened::Still(file) => Ok(file.still),
-            Opened::Moving(_) => Err(SceneError::Broken {
-                path: path.as_ref().to_owned(),
-                cause: "expected a still scene, found a scene in time (streamsplat::scene reads it)".to_owned(),
-            }),
-        }
-    }
-
-    /// Reads the still scene of a file in memory: [`import::read`] with the default [`Limits`] and without a name.
-    ///
-    /// # Errors
-    /// As [`import::read`].
-    pub fn read(bytes: &[u8]) -> Result<Still, FormatError> {
-        import::read(bytes, "", &Limits::default())
-    }
-
     /// An empty scene with room for `count` Gaussians.
     pub(crate) fn with_room(count: usize, degree: usize) -> Self {
         let mut still = Still { degree, ..Still::default() };

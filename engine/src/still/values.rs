@@ -3,8 +3,9 @@
 use streamsplat_kernels::harmonics;
 
 use super::{Still, first_of, log_of, logit_of};
-use crate::import::GAUSSIANS;
 
+/// Default limit on the Gaussians of a scene.
+pub const GAUSSIANS: usize = 1 << 24;
 /// Highest degree of harmonics.
 const DEGREE: usize = 3;
 
@@ -204,8 +205,8 @@ mod tests {
 
     #[test]
     fn every_format_is_read_from_memory_and_other_bytes_are_named() {
-        use crate::export::Options;
-        use crate::import::{FORMATS, Limits, read};
+        use crate::formats::Options;
+        use crate::formats::{FORMATS, Limits, read};
 
         let workers = Workers::new(Level::detect(), 1).expect("a thread");
         let scene = Drawable::new(Still::of_values(values()).expect("a scene"), &workers).expect("even arrays");

@@ -26,7 +26,8 @@ use streamsplat_model::StaticGaussians;
 
 use super::gaussians::deviations;
 use super::{DynamicGaussians, Reference};
-use crate::render::{Snapshot, to_scene};
+use crate::stream::Snapshot;
+use crate::world::to_scene;
 
 /// Gaussians per task.
 const CHUNK: usize = 4096;

@@ -33,6 +33,7 @@ mod reconstructor;
 mod resolution;
 mod resume;
 pub(crate) mod settings;
+mod snapshot;
 mod tiles;
 mod work;
 mod workers;
@@ -43,8 +44,7 @@ pub use frame::{EngineError, Frame};
 pub use gaussians::{DynamicGaussians, HANDOVER, Handover, Record, Reference};
 pub use interval::{Interval, Merge};
 pub use keep::{KeptState, Past};
-pub use lift::{Covered, DepthMap, FAR, NEAR};
-pub(crate) use lift::{map_value, scene_depth};
+pub use lift::{Covered, DepthMap};
 pub use network::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
 pub use quality::{Preset, Quality};
 pub use reconstructor::{Motion, Reconstructor, Session, Tiling};
@@ -54,6 +54,7 @@ pub use settings::{
     Behind, Decibels, DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode,
     Settings, StaticRegions, UnknownChoice,
 };
+pub use snapshot::Snapshot;
 pub use work::{StageWork, Work};
 pub use workers::Workers;
 

@@ -1,6 +1,6 @@
 // Files that are dropped on the page or chosen: read by a worker of their own, which takes the place of the scene's once it has read all.
 
-/** Gaussians that are read at most, as engine/src/import/limits.rs has it. */
+/** Gaussians that are read at most, as engine/src/formats/limits.rs has it. */
 const MOST = 2 ** 24;
 /** The worker that reads a file. */
 let reading = null;

@@ -8,7 +8,7 @@ use streamsplat::fit::Placement;
 use streamsplat::scene::{ContainerWriter, from_safetensors, to_safetensors};
 use streamsplat::still::Still;
 use streamsplat::stream::{Handover, Interval, Merge, Record, Reference, Workers};
-use streamsplat::{export, openexr};
+use streamsplat::{formats, openexr};
 use streamsplat_kernels::Level;
 
 /// Configuration that the shapes of [`model`] do not determine.
@@ -315,7 +315,7 @@ fn still(degree: usize) -> Still {
 }
 
 pub(super) fn ply() -> Vec<Vec<u8>> {
-    let files: Vec<Vec<u8>> = (0..=3).map(|degree| export::still::ply(&still(degree))).collect();
+    let files: Vec<Vec<u8>> = (0..=3).map(|degree| formats::ply::write(&still(degree)).bytes).collect();
     // As text, and in the other byte order.
     let end = files[0].windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
     let header = String::from_utf8_lossy(&files[0][..end]);
@@ -327,7 +327,7 @@ pub(super) fn ply() -> Vec<Vec<u8>> {
     }
     let mut big = header.replace("little", "big").into_bytes();
     values.iter().for_each(|b| big.extend(b.iter().rev()));
-    let packed = [0, 2].map(|degree| export::still::packed(&still(degree))).to_vec();
+    let packed = [0, 2].map(|degree| formats::compressed_ply::write(&still(degree)).bytes).to_vec();
     [files, vec![text.into_bytes(), big], packed].concat()
 }
 
@@ -389,9 +389,9 @@ pub(super) fn spacetime() -> Vec<Vec<u8>> {
 }
 
 pub(super) fn gltf() -> Vec<Vec<u8>> {
-    let file = export::still::glb(&still(1));
+    let file = formats::gltf::write(&still(1)).bytes;
     // Below a node with translation, rotation and scale.
-    let plain = export::still::glb(&still(0));
+    let plain = formats::gltf::write(&still(0)).bytes;
     let length = plain[12..].first_chunk().map_or(0, |b| u32::from_le_bytes(*b)) as usize;
     let node = r#"{"mesh":0,"translation":[1,2,3],"rotation":[0,0.6,0,0.8],"scale":[2,2,2]}"#;
     let mut text = String::from_utf8_lossy(&plain[20..20 + length]).replacen(r#"{"mesh":0}"#, node, 1);
@@ -412,11 +412,12 @@ pub(super) fn gltf() -> Vec<Vec<u8>> {
 }
 
 pub(super) fn sog() -> Vec<Vec<u8>> {
-    [0, 1].map(|degree| export::still::sog(&still(degree))).to_vec()
+    [0, 1].map(|degree| formats::sog::write(&still(degree)).bytes).to_vec()
 }
 
 pub(super) fn spz() -> Vec<Vec<u8>> {
-    let mut files: Vec<Vec<u8>> = (0..=3).map(|degree| export::still::spz(&still(degree))).collect();
+    let mut files: Vec<Vec<u8>> =
+        (0..=3).map(|degree| formats::spz::write(&still(degree), formats::SpzVersion::V3).bytes).collect();
     // Versions 2 and 3, whose attributes follow the header in one gzip stream: here in stored blocks, so that mutations
     // can change them.
     for (version, bytes) in [(2_u32, 19), (3, 20)] {

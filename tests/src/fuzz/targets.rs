@@ -4,15 +4,16 @@ use std::io::Cursor;
 use std::path::Path;
 use std::sync::LazyLock;
 
-use streamsplat::camera::{CameraSet, Pose, file, set};
+use streamsplat::camera::{Pose, file};
 use streamsplat::fit::Placement;
+use streamsplat::formats::cameras::{self, CameraSet};
 use streamsplat::render::Renderer;
 use streamsplat::scene::{Index, from_safetensors, intervals_from_container, to_safetensors};
 use streamsplat::source::{decode, y4m::Y4m};
 use streamsplat::splats::Splats;
 use streamsplat::still::{Drawable, Still};
 use streamsplat::stream::Workers;
-use streamsplat::{Camera, Image, RenderOptions, Size, depth, export, import, onnx};
+use streamsplat::{Camera, Image, RenderOptions, Size, depth, formats, onnx};
 use streamsplat_kernels::{Level, raster};
 use streamsplat_model::checkpoint::Checkpoint;
 use streamsplat_model::inspect::inspect_parts;
@@ -84,11 +85,11 @@ pub(super) fn scene_index(bytes: &[u8]) {
 /// files of a COLMAP model with `%%` between them.
 pub(super) fn camera(bytes: &[u8]) {
     if let Some(files) = colmap(bytes) {
-        [set::colmap::text(&files), set::colmap::binary(&files)].iter().flatten().for_each(assert_usable);
+        [cameras::colmap::text(&files), cameras::colmap::binary(&files)].iter().flatten().for_each(assert_usable);
     }
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     for size in [None, Some([8, 5])] {
-        if let Some(Ok(found)) = set::parse(text, size) {
+        if let Some(Ok(found)) = cameras::parse(text, size) {
             assert_usable(&found);
         }
     }
@@ -106,11 +107,11 @@ pub(super) fn camera(bytes: &[u8]) {
 }
 
 /// The two or four files of a COLMAP model that have `%%` between them.
-pub fn colmap(bytes: &[u8]) -> Option<set::colmap::Files<'_>> {
+pub fn colmap(bytes: &[u8]) -> Option<cameras::colmap::Files<'_>> {
     let (cameras, images) = cut(bytes);
     let (images, rigs) = cut(images?);
     let rigs = rigs.map(cut).map(|(rigs, frames)| [rigs, frames.unwrap_or_default()]);
-    Some(set::colmap::Files { cameras, images, rigs })
+    Some(cameras::colmap::Files { cameras, images, rigs })
 }
 
 /// Splits at the next `%%`.
@@ -171,58 +172,60 @@ pub(super) fn splat(bytes: &[u8]) {
 
 /// A PLY file: the result is written as a file that reads the same, and drawn.
 pub(super) fn ply(bytes: &[u8]) {
-    let Ok(still) = import::ply(bytes) else { return };
-    let file = export::still::ply(&still);
-    let again = import::ply(&file).expect("what was written can be read");
-    assert!(export::still::ply(&again) == file);
-    let packed = import::ply(&export::still::packed(&still)).expect("what was written can be read");
+    let Ok(still) = formats::ply::read(bytes) else { return };
+    let file = formats::ply::write(&still).bytes;
+    let again = formats::ply::read(&file).expect("what was written can be read");
+    assert!(formats::ply::write(&again).bytes == file);
+    let packed =
+        formats::ply::read(&formats::compressed_ply::write(&still).bytes).expect("what was written can be read");
     assert!(packed.len() <= still.len() && packed.uneven().is_none());
     draw_still(still);
 }
 
 /// An SPZ file.
 pub(super) fn spz(bytes: &[u8]) {
-    let Ok(still) = import::spz(bytes) else { return };
-    let again = import::spz(&export::still::spz(&still)).expect("what was written can be read");
+    let Ok(still) = formats::spz::read(bytes) else { return };
+    let again = formats::spz::read(&formats::spz::write(&still, formats::SpzVersion::V3).bytes)
+        .expect("what was written can be read");
     assert!(again.len() <= still.len() && again.uneven().is_none());
     draw_still(still);
 }
 
 /// Records of a `.splat` file.
 pub(super) fn splat_records(bytes: &[u8]) {
-    let Ok(still) = import::splat(bytes) else { return };
+    let Ok(still) = formats::splat::read(bytes) else { return };
     assert_eq!((still.len(), still.uneven()), (bytes.len() / 32, None));
     draw_still(still);
 }
 
 /// A binary glTF file.
 pub(super) fn gltf(bytes: &[u8]) {
-    let Ok(still) = import::glb(bytes) else { return };
-    let again = import::glb(&export::still::glb(&still)).expect("what was written can be read");
+    let Ok(still) = formats::gltf::read(bytes) else { return };
+    let again = formats::gltf::read(&formats::gltf::write(&still).bytes).expect("what was written can be read");
     assert!(again.len() <= still.len() && again.uneven().is_none());
     draw_still(still);
 }
 
 /// A SOG file.
 pub(super) fn sog(bytes: &[u8]) {
-    let Ok(still) = import::sog(bytes) else { return };
-    let again = import::sog(&export::still::sog(&still)).expect("what was written can be read");
+    let Ok(still) = formats::sog::read(bytes) else { return };
+    let again = formats::sog::read(&formats::sog::write(&still).bytes).expect("what was written can be read");
     assert!(again.len() <= still.len() && again.uneven().is_none());
     draw_still(still);
 }
 
 /// A `.ksplat` file.
 pub(super) fn ksplat(bytes: &[u8]) {
-    let Ok(still) = import::ksplat(bytes) else { return };
+    let Ok(still) = formats::ksplat::read(bytes) else { return };
     assert!(still.uneven().is_none() && still.len() * 24 <= bytes.len());
     draw_still(still);
 }
 
 /// The index of a streamed SOG scene: no level has more Gaussians than the limits allow.
 pub(super) fn streamed_sog(bytes: &[u8]) {
-    let limits = import::Limits::default();
+    let limits = formats::Limits::default();
     for level in 0..3 {
-        if let Ok(plan) = import::level_plan(bytes, &limits, level) {
+        if let Ok(plan) = formats::lod::plan(bytes, &limits, level) {
             assert!(plan.count <= limits.gaussians);
             let ranges = plan.files.iter().flat_map(|(_, ranges)| ranges);
             assert_eq!(ranges.map(|[_, count]| count).sum::<usize>(), plan.count);
@@ -232,7 +235,7 @@ pub(super) fn streamed_sog(bytes: &[u8]) {
 
 /// A PLY file of Gaussians in time, at several times.
 pub(super) fn spacetime(bytes: &[u8]) {
-    let Ok(scene) = import::spacetime(bytes, &import::Limits::default()) else { return };
+    let Ok(scene) = formats::spacetime::read(bytes, &formats::Limits::default()) else { return };
     for time in [-1e300, 0.0, 0.5] {
         let still = scene.at(time);
         assert_eq!((still.len(), still.uneven()), (scene.len(), None));

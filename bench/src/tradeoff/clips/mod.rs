@@ -16,7 +16,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail, ensure};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use streamsplat::source::folder;
+use streamsplat::folder;
 
 use super::Options;
 use super::front::front;
@@ -83,7 +83,7 @@ struct Clip {
 
 /// Returns true if this is a folder of clips.
 pub(super) fn is_folder_of_clips(input: &Path) -> bool {
-    input.is_dir() && folder::images(input).is_err()
+    input.is_dir() && !folder::has_images(input)
 }
 
 /// Measures, or reads `--record`; writes record, page and plot.

@@ -3,12 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
-use streamsplat::export::{Options, SpzVersion};
 use streamsplat::fit::Placement;
-use streamsplat::import::{self, FORMATS, Opened};
+use streamsplat::formats::{self, FORMATS, Options, SpzVersion};
+use streamsplat::open::{self, Opened};
 use streamsplat::output::{prepare_folder, write_file};
-use streamsplat::render::Snapshot;
 use streamsplat::scene::{ContainerWriter, Join, Scene};
+use streamsplat::stream::Snapshot;
 use streamsplat::stream::{Interval, Workers};
 
 use crate::command::still;
@@ -24,7 +24,7 @@ use streamsplat::run::options::Times;
 #[derive(Clone, Copy)]
 pub enum Format {
     /// One file per time.
-    Still(&'static import::Format),
+    Still(&'static formats::Format),
     /// One file for a whole scene in time.
     Container,
 }
@@ -36,7 +36,7 @@ impl Format {
             Some("ssz") => Some(Format::Container),
             Some(name) => FORMATS.iter().find(|format| format.option == name).map(Format::Still),
             None if Format::Container.is_file(out) => Some(Format::Container),
-            None => import::Format::of_name(out).map(Format::Still),
+            None => formats::Format::of_name(out).map(Format::Still),
         };
         found.ok_or_else(|| {
             let names: Vec<&str> = FORMATS.iter().map(|format| format.option).collect();
@@ -81,7 +81,7 @@ impl Format {
 /// Returns the options of the format's writer.
 fn options(args: &ExportArgs, format: Format) -> Result<Options, Failure> {
     let Some(version) = args.spz_version else { return Ok(Options::default()) };
-    if !matches!(format, Format::Still(import::Format { option: "spz", .. })) {
+    if !matches!(format, Format::Still(formats::Format { option: "spz", .. })) {
         return Err(Failure::usage(format!("--spz-version {version}: expected --format spz")));
     }
     let spz = match version {
@@ -110,7 +110,7 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
     };
     let Format::Still(of_time) = format else {
         let limits = args.limit.limits();
-        let more = args.more.iter().map(|path| Ok(import::open_moving(path, &limits)?));
+        let more = args.more.iter().map(|path| Ok(open::scene_in_time(path, &limits)?));
         let scenes = [Ok(scene)].into_iter().chain(more).collect::<Result<Vec<Scene>, Failure>>()?;
         return container(&scenes, args, &workers, console);
     };

@@ -5,7 +5,7 @@ use std::io::Read;
 use std::path::Path;
 
 use serde_json::{Map, Value, json};
-use streamsplat::import::{self, Opened};
+use streamsplat::open::{self, Opened};
 use streamsplat::output::write_file;
 use streamsplat::recognise::{self, Kind};
 use streamsplat::scene::{INDEX, Scene};
@@ -32,7 +32,7 @@ pub fn command(args: &InspectArgs, console: &Console) -> Result<(), Failure> {
     }
     let found = if torch {
         model(path)?
-    } else if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path) {
+    } else if path.is_dir() || path.file_name().is_some_and(|name| name == INDEX) || open::is_scene(path) {
         match open_along(path, &args.limit.limits(), args.reading.axes()?, None, console)? {
             Opened::Moving(scene) => moving(&scene)?,
             Opened::Still(file) => still::inspect(&file),

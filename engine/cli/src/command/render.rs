@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use streamsplat::import::Opened;
+use streamsplat::open::Opened;
 use streamsplat::output::{Pace, WEBP_SIDE, folder_of, storage, write_file};
 use streamsplat::run::options::{Fill, Machine};
 use streamsplat::scene::Scene;

@@ -1,7 +1,7 @@
 //! `splat`: draws the Gaussians of a safetensors file.
 
 use safetensors::tensor::{Dtype, TensorView};
-use streamsplat::import::read_file;
+use streamsplat::formats::read_file;
 use streamsplat::output::write_file;
 use streamsplat::splats::{Splats, SplatsError};
 use streamsplat_kernels::raster;

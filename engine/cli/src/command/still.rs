@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use serde_json::{Value, json};
 use streamsplat::camera::{Camera, CameraPath, Lens, Pose};
-use streamsplat::export::Options;
-use streamsplat::import::StillFile;
+use streamsplat::formats::Options;
+use streamsplat::open::StillFile;
 use streamsplat::output::{Pace, prepare_folder, write_file};
 use streamsplat::still::{Drawable, Spread};
 use streamsplat::stream::Workers;

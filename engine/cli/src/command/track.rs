@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use serde::Serialize;
-use streamsplat::import::open_moving;
+use streamsplat::open::scene_in_time;
 use streamsplat::output::write_file;
 use streamsplat::scene::Scene;
 use streamsplat::track::{Track, TrackPoint};
@@ -55,7 +55,7 @@ pub fn command(args: &TrackArgs, console: &Console) -> Result<(), Failure> {
     let asked = args.times.as_ref().map(Times::list);
     times::check_rate(args.fps)?;
     let workers = args.machine.workers()?;
-    let scene = open_moving(&args.scene, &args.limit.limits())?;
+    let scene = scene_in_time(&args.scene, &args.limit.limits())?;
     let place = times::find(&scene, "--at", args.at)?;
     let [height, width] = scene.placement().source;
     let inside = |x: f64, side: usize| (-0.5..=side as f64 - 0.5).contains(&x);

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use streamsplat::import::Opened;
+use streamsplat::open::Opened;
 use streamsplat::output::{Partial, folder_of, write_whole};
 use streamsplat::view::{Link, PageError, Recorded, Server, StillSource, Whole, poster, write_page};
 

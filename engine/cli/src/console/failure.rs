@@ -56,7 +56,7 @@ macro_rules! work {
 work!(
     streamsplat::EngineError,
     streamsplat::RenderError,
-    streamsplat::camera::CameraFileError,
+    streamsplat::formats::cameras::CameraFileError,
     streamsplat::depth::DepthError,
     streamsplat::lpips::LpipsError,
     streamsplat::onnx::OnnxError,

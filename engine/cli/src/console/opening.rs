@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use streamsplat::import::{self, Limits, Opened};
+use streamsplat::formats::Limits;
+use streamsplat::open::{self, Opened};
 use streamsplat::still::Axes;
 use streamsplat::stream::Workers;
 
@@ -33,8 +34,8 @@ pub fn open_along(
         }
     };
     let opened = match workers {
-        Some(workers) => workers.install(|| import::open_as(path, limits, axes, &mut show)),
-        None => import::open_as(path, limits, axes, &mut show),
+        Some(workers) => workers.install(|| open::scene_along(path, limits, axes, &mut show)),
+        None => open::scene_along(path, limits, axes, &mut show),
     }?;
     match &opened {
         Opened::Still(file) => {

@@ -7,7 +7,7 @@ use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use serde::{Deserialize, Serialize};
 use streamsplat::Size;
 use streamsplat::fit::Fit;
-use streamsplat::import::Limits;
+use streamsplat::formats::Limits;
 use streamsplat::render::Backend;
 use streamsplat::run::options::{self, Machine, Motion, NamedMatrix, RunOptions, StreamOptions, Times, ViewOptions};
 use streamsplat::run::outputs::Emit;

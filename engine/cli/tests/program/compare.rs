@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Output;
 
-use streamsplat::export;
+use streamsplat::formats;
 use streamsplat::openexr::Planes;
 
 use crate::still::still;
@@ -145,10 +145,10 @@ fn one_bit_of_a_scene_is_found_with_its_gaussian_and_property() {
     let scratch = Scratch::new();
     let [a, b, c] = ["a.ply", "b.ply", "c.ply"].map(|name| scratch.path(name));
     let mut other = still();
-    std::fs::write(&a, export::still::ply(&other)).expect("writable");
+    std::fs::write(&a, formats::ply::write(&other).bytes).expect("writable");
     other.base[123][1] = f32::from_bits(other.base[123][1].to_bits() ^ 1);
-    std::fs::write(&b, export::still::ply(&other)).expect("writable");
-    std::fs::write(&c, export::still::spz(&still())).expect("writable");
+    std::fs::write(&b, formats::ply::write(&other).bytes).expect("writable");
+    std::fs::write(&c, formats::spz::write(&still(), formats::SpzVersion::V3).bytes).expect("writable");
     assert!(compare(&a, &a, &[]).status.success());
     let output = compare(&a, &b, &[]);
     assert!(fails(&output, 1).contains("1 properties of 500 Gaussians differ"));
@@ -285,7 +285,7 @@ fn files_of_which_nothing_can_be_read_are_never_equal() {
 fn outputs_of_render_are_compared_in_every_kind() {
     let scratch = Scratch::new();
     let scene = scratch.path("scene.ply");
-    std::fs::write(&scene, export::still::ply(&still())).expect("writable");
+    std::fs::write(&scene, formats::ply::write(&still()).bytes).expect("writable");
     let [a, b] = ["a", "b"].map(|name| scratch.path(name));
     for out in [&a, &b] {
         let output = command()

@@ -9,7 +9,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use streamsplat::import::{FORMATS, READ_ONLY};
+use streamsplat::formats::{FORMATS, READ_ONLY};
 
 use crate::support::{Scratch, run};
 
@@ -328,4 +328,82 @@ fn files_that_the_pages_on_the_code_name_exist() {
             assert!(root().join(path).exists(), "{page}: no file {path}");
         }
     }
+}
+
+/// Returns the modules of the library that production code uses: `crate::name`, also in braces. A name of the root is
+/// the module that it is re-exported from.
+fn used(code: &str, root: &[(String, String)]) -> Vec<String> {
+    let code: String = code.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n");
+    let mut names = Vec::new();
+    for rest in code.split("crate::").skip(1) {
+        let mut word = |text: &str| {
+            names.push(text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect::<String>());
+        };
+        let Some(list) = rest.strip_prefix('{') else {
+            word(rest);
+            continue;
+        };
+        let (mut depth, mut starts) = (0, true);
+        for (at, c) in list.char_indices() {
+            match c {
+                '{' => depth += 1,
+                '}' if depth == 0 => break,
+                '}' => depth -= 1,
+                ',' if depth == 0 => starts = true,
+                c if starts && c.is_alphanumeric() => {
+                    word(&list[at..]);
+                    starts = false;
+                }
+                _ => {}
+            }
+        }
+    }
+    let of_root = |name: String| root.iter().find(|(own, _)| *own == name).map_or(name, |(_, module)| module.clone());
+    names.into_iter().map(of_root).collect()
+}
+
+#[test]
+fn modules_of_the_engine_use_only_those_below_them() {
+    let page = read(&root().join("docs/architecture.md"));
+    let (_, table) = page.split_once("| module | purpose |\n|---|---|\n").expect("the table of modules");
+    let rows = table.lines().take_while(|line| line.starts_with('|')).map(|line| line.split('|').nth(1).unwrap_or(""));
+    let order: Vec<&str> = rows.flat_map(|row| row.split('`').skip(1).step_by(2)).collect();
+    let source = root().join("engine/src");
+    let library = read(&source.join("lib.rs"));
+    let mut reexported = Vec::new();
+    for line in library.lines().filter_map(|line| line.strip_prefix("pub use ")?.strip_suffix(';')) {
+        let Some((module, names)) = line.split_once("::") else { continue };
+        let names = names.trim_matches(['{', '}']).split(',').map(|name| name.trim().to_owned());
+        reexported.extend(names.map(|name| (name, module.to_owned())));
+    }
+    let mut arrows = 0;
+    for (place, module) in order.iter().enumerate() {
+        let (file, folder) = (source.join(format!("{module}.rs")), source.join(module));
+        let mut files = if file.is_file() { vec![file] } else { below(&folder) };
+        // Tests, in files of their own or at the end of a file, may use everything.
+        files.retain(|file| !file.ends_with("tests.rs") && !file.ends_with("by_tree.rs"));
+        for file in files {
+            let text = read(&file);
+            let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
+            for name in used(code, &reexported).iter().filter(|name| name != module) {
+                let Some(other) = order.iter().position(|module| module == name) else { continue };
+                arrows += 1;
+                assert!(other > place, "{}: {module} uses {name}, which is above it", file.display());
+            }
+        }
+    }
+    assert!(arrows > 100, "{arrows}");
+    let declared = library.lines().filter_map(|line| line.strip_prefix("pub mod ")?.strip_suffix(';'));
+    for module in declared {
+        assert!(order.contains(&module), "{module} is not in docs/architecture.md");
+    }
+}
+
+/// Returns the files of Rust in a folder and below it.
+fn below(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
+    entries
+        .flat_map(|path| if path.is_dir() { below(&path) } else { vec![path] })
+        .filter(|path| path.extension().is_some_and(|ending| ending == "rs"))
+        .collect()
 }

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use flate2::Compression;
 use flate2::write::{DeflateEncoder, GzEncoder};
 use serde_json::{Value, json};
-use streamsplat::import::FORMATS;
+use streamsplat::formats::FORMATS;
 use streamsplat::still::Drawable;
 use streamsplat::stream::Workers;
 use streamsplat_kernels::Level;
@@ -117,7 +117,7 @@ fn nodes_that_share_a_mesh_are_counted_each() {
     let workers = Workers::new(Level::scalar(), 1).expect("one thread");
     let good = (format.still)(
         &Drawable::new(still(), &workers).expect("even arrays"),
-        &streamsplat::export::Options::default(),
+        &streamsplat::formats::Options::default(),
     )
     .bytes;
     let length = good[12..].first_chunk().map(|b| u32::from_le_bytes(*b) as usize).expect("a length");

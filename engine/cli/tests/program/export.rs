@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use streamsplat::export;
-use streamsplat::render::Snapshot;
+use streamsplat::formats::{FORMATS, Options};
 use streamsplat::scene::{Scene, SceneWriter};
+use streamsplat::stream::Snapshot;
 use streamsplat::stream::{Interval, ModelSource, Workers};
 use streamsplat::{Engine, Frame, Settings};
 
@@ -65,16 +65,16 @@ fn a_scene_read_back_exports_what_the_live_one_shows() {
 
     let list = ["--times", "0,0.03,0.1,0.15,0.2,0.29", "--threads", "3", "--format"];
     // The source's own view is next to the files of each export.
-    for (format, write) in
-        [("ply", export::ply as fn(&Snapshot) -> Vec<u8>), ("splat", export::splat), ("spz", export::spz)]
-    {
-        let out = scratch.path(format);
-        export_ok(&folder, &out, &[&list[..], &[format]].concat());
+    for format in &FORMATS {
+        let (option, ending) = (format.option, format.ending);
+        let out = scratch.path(option);
+        export_ok(&folder, &out, &[&list[..], &[option]].concat());
         let found = files(&out);
         assert_eq!(found.len(), times.len() + 1);
         assert!(found.contains_key("source.camera.json"));
         for (index, snapshot) in expected.iter().enumerate() {
-            assert!(found[&format!("{index:06}.{format}")] == write(snapshot), "{format} {index}");
+            let written = (format.snapshot)(snapshot, &Options::default()).bytes;
+            assert!(found[&format!("{index:06}.{ending}")] == written, "{option} {index}");
         }
     }
 }

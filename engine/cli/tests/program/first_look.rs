@@ -148,7 +148,7 @@ fn inspect_says_what_a_scene_is_like_and_what_of_it_is_not_drawn() {
     scene.rotation[5] = [0.0; 4];
     (scene.logit[7], scene.logit[8]) = (-9.0, -6.0);
     let (file, out) = (scratch.path("scene.ply"), scratch.path("found.json"));
-    std::fs::write(&file, streamsplat::export::still::ply(&scene)).expect("writable");
+    std::fs::write(&file, streamsplat::formats::ply::write(&scene).bytes).expect("writable");
     let output = command().arg("inspect").arg(&file).arg("--json").arg(&out).output().expect("the program starts");
     ok(&output);
     let text = String::from_utf8_lossy(&output.stdout);

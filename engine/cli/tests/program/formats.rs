@@ -2,8 +2,7 @@
 
 use std::path::PathBuf;
 
-use streamsplat::export::{self, Options, SpzVersion};
-use streamsplat::import::{FORMATS, Format, READ_ONLY};
+use streamsplat::formats::{self, FORMATS, Format, Options, READ_ONLY, SpzVersion};
 use streamsplat::still::Drawable;
 use streamsplat::stream::Workers;
 use streamsplat_kernels::Level;
@@ -47,7 +46,7 @@ fn meta(version: u32, count: u64, means: &str) -> Vec<u8> {
 /// Returns files that are no scenes of a format: their names, their bytes, and the start of the message after the name.
 fn hostile(format: &Format) -> Vec<(&'static str, Vec<u8>, &'static str)> {
     let good = written(format);
-    let newest = export::written::spz(&still(), SpzVersion::V4).bytes;
+    let newest = formats::spz::write(&still(), SpzVersion::V4).bytes;
     match format.option {
         "ply" => vec![
             ("a.ply", shorter(&good, 1), "element vertex: expected 500 of 248 bytes each"),
@@ -224,7 +223,7 @@ fn a_ksplat_file_is_drawn_as_the_gaussians_that_it_holds() {
     std::fs::write(&file, ksplat()).expect("writable");
     let output = command().arg("export").arg(&file).arg("--out").arg(&ply).output().expect("the program starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let found = streamsplat::import::ply(&std::fs::read(&ply).expect("a file")).expect("a scene");
+    let found = streamsplat::formats::ply::read(&std::fs::read(&ply).expect("a file")).expect("a scene");
     assert_eq!(found.mean[0], [0.5, -0.5, 0.0]);
     assert!((found.mean[1][0] - (0.5 + 4000.0 * 2.5 / 32767.0)).abs() < 1e-6, "{:?}", found.mean);
     let expected = f64::from(half::f16::from_f32(0.3)).ln();
@@ -244,12 +243,12 @@ fn a_streamed_sog_scene_is_the_union_of_its_chunks_also_by_its_folder() {
     let index = r#"{"version": 1, "lodLevels": 1, "counts": [503], "filenames": ["0_0/meta.json", "0_1/meta.json"], "environment": "env/meta.json",
         "tree": {"children": [{"lods": {"0": {"file": 1, "offset": 497, "count": 3}}}, {"lods": {"0": {"file": 0, "offset": 0, "count": 500}}}]}}"#;
     std::fs::write(folder.join("lod-meta.json"), index).expect("writable");
-    let whole = streamsplat::import::sog(&written(sog)).expect("a SOG file");
+    let whole = streamsplat::formats::sog::read(&written(sog)).expect("a SOG file");
     for path in [folder.join("lod-meta.json"), folder.clone()] {
         let ply = scratch.path("a.ply");
         let output = command().arg("export").arg(&path).arg("--out").arg(&ply).output().expect("the program starts");
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        let found = streamsplat::import::ply(&std::fs::read(&ply).expect("a file")).expect("a scene");
+        let found = streamsplat::formats::ply::read(&std::fs::read(&ply).expect("a file")).expect("a scene");
         assert_eq!((found.len(), found.degree), (1003, whole.degree));
         let expected = [&whole.mean[..], &whole.mean[497..], &whole.mean[..]].concat();
         assert!(found.mean == expected && found.higher[500 * 45..503 * 45] == whole.higher[497 * 45..]);
@@ -268,7 +267,8 @@ fn a_streamed_sog_scene_is_the_union_of_its_chunks_also_by_its_folder() {
     };
     let output = export(&folder, "1");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let found = streamsplat::import::ply(&std::fs::read(scratch.path("b.ply")).expect("a file")).expect("a scene");
+    let found =
+        streamsplat::formats::ply::read(&std::fs::read(scratch.path("b.ply")).expect("a file")).expect("a scene");
     assert!(found.mean == [&whole.mean[9..13], &whole.mean[..]].concat());
     assert!(fails(&export(&folder, "2"), 1).contains("lodLevels: expected more than 2"));
     assert!(
@@ -299,7 +299,8 @@ fn a_file_of_spacetime_gaussians_is_drawn_at_each_time() {
     let output = output.expect("the program starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert!(String::from_utf8_lossy(&output.stderr).contains(": Gaussians in time, most opaque from 0 to 0"));
-    let at = |name: &str| streamsplat::import::ply(&std::fs::read(out.join(name)).expect("a file")).expect("a scene");
+    let at =
+        |name: &str| streamsplat::formats::ply::read(&std::fs::read(out.join(name)).expect("a file")).expect("a scene");
     assert_eq!((at("000000.ply").mean[0], at("000001.ply").mean[0]), ([0.0; 3], [1.0, 0.0, 0.0]));
     assert!(at("000001.ply").logit[0] < at("000000.ply").logit[0]);
     // A render of the file at a time equals that of the still scene of the time.

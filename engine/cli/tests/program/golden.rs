@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-use streamsplat::export;
+use streamsplat::formats;
 
 use crate::still::still;
 use crate::support::{Scratch, command, fails, json};
@@ -29,7 +29,7 @@ fn golden(action: &str, list: &Path, more: &[&str]) -> Output {
 fn recorded(scratch: &Scratch) -> PathBuf {
     let list = scratch.path("list.toml");
     std::fs::write(&list, LIST).expect("writable");
-    std::fs::write(scratch.path("scene.ply"), export::still::ply(&still())).expect("writable");
+    std::fs::write(scratch.path("scene.ply"), formats::ply::write(&still()).bytes).expect("writable");
     let output = golden("record", &list, &[]);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     list
@@ -87,13 +87,13 @@ fn one_bit_of_one_colour_is_found() {
     // The last bit is rounded away before blending, but the scene's digest differs.
     let original = changed.base[one][0].to_bits();
     changed.base[one][0] = f32::from_bits(original ^ 1);
-    std::fs::write(&scene, export::still::ply(&changed)).expect("writable");
+    std::fs::write(&scene, formats::ply::write(&changed).bytes).expect("writable");
     let output = golden("check", &list, &["--isa", "scalar"]);
     fails(&output, 1);
     assert!(String::from_utf8_lossy(&output.stdout).contains("the scene changed"));
     // Another bit changes the images, far below the precision of 8 bits.
     changed.base[one][0] = f32::from_bits(original ^ (1 << 12));
-    std::fs::write(&scene, export::still::ply(&changed)).expect("writable");
+    std::fs::write(&scene, formats::ply::write(&changed).bytes).expect("writable");
     let (junit, found) = (scratch.path("junit.xml"), scratch.path("found.json"));
     let [junit_option, found_option] = [format!("--junit={}", junit.display()), format!("--json={}", found.display())];
     let text = fails(&golden("check", &list, &[&junit_option, &found_option]), 1);
@@ -120,7 +120,7 @@ fn a_scene_that_changed_where_no_image_shows_it_is_said() {
     let scratch = Scratch::new();
     let list = recorded(&scratch);
     let scene = scratch.path("scene.ply");
-    let text = export::still::ply(&still());
+    let text = formats::ply::write(&still()).bytes;
     let end = text.windows(11).position(|part| part == b"end_header\n").expect("a header");
     let commented = [&text[..end], b"comment another\n", &text[end..]].concat();
     std::fs::write(&scene, commented).expect("writable");
@@ -184,7 +184,7 @@ fn only_previews_that_a_recording_wrote_are_removed() {
 fn nothing_is_written_through_a_link() {
     let scratch = Scratch::new();
     let list = recorded(&scratch);
-    std::fs::write(scratch.path("scene.ply"), export::still::ply(&changed())).expect("writable");
+    std::fs::write(scratch.path("scene.ply"), formats::ply::write(&changed()).bytes).expect("writable");
     let elsewhere = scratch.path("elsewhere");
     std::fs::create_dir(&elsewhere).expect("writable");
     std::os::unix::fs::symlink(&elsewhere, scratch.path("list.failed")).expect("writable");

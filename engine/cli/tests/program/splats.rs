@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Output;
 
-use streamsplat::export::{self, SpzVersion};
+use streamsplat::formats::{self, SpzVersion};
 use streamsplat::still::Still;
 
 use crate::still::{prepared, still};
@@ -29,7 +29,7 @@ fn picture(scene: &Path, camera: &Path, out: &Path, more: &[&str]) -> (Vec<u8>, 
 
 /// Writes a file of version 4 without a record of its axes, which are RDF.
 fn silent(still: &Still) -> Vec<u8> {
-    let file = export::written::spz(still, SpzVersion::V4).bytes;
+    let file = formats::spz::write(still, SpzVersion::V4).bytes;
     let table = u32::from_le_bytes(file[16..20].try_into().expect("four bytes")) as usize;
     let mut head = file[..32].to_vec();
     head[14] &= !2;
@@ -42,7 +42,7 @@ fn axes_that_a_file_does_not_say_are_told_and_can_be_given() {
     let scratch = Scratch::new();
     let (_, camera) = prepared(&scratch);
     let (stated, unsaid) = (scratch.path("stated.spz"), scratch.path("unsaid.spz"));
-    std::fs::write(&stated, export::written::spz(&still(), SpzVersion::V4).bytes).expect("writable");
+    std::fs::write(&stated, formats::spz::write(&still(), SpzVersion::V4).bytes).expect("writable");
     std::fs::write(&unsaid, silent(&still())).expect("writable");
     let out = scratch.path("a.png");
     let (right, lines) = picture(&stated, &camera, &out, &[]);
@@ -83,7 +83,7 @@ fn spz_is_written_in_version_3_or_4() {
         (&["--spz-version", "4"], SpzVersion::V4),
     ] {
         said(&[&["export", text(&scene), "-o", text(&out)][..], more].concat());
-        let expected = export::written::spz(&still(), version).bytes;
+        let expected = formats::spz::write(&still(), version).bytes;
         assert!(std::fs::read(&out).expect("written") == expected, "{more:?}");
     }
     for (more, expected) in [
@@ -102,12 +102,12 @@ fn a_mark_of_antialiased_training_is_used_shown_and_can_be_overruled() {
     let mut thin = still();
     thin.log_scale.iter_mut().flatten().for_each(|s| *s -= 2.0);
     let out = scratch.path("a.png");
-    std::fs::write(&scene, export::still::ply(&thin)).expect("writable");
+    std::fs::write(&scene, formats::ply::write(&thin).bytes).expect("writable");
     let (plain, faint) =
         (picture(&scene, &camera, &out, &[]).0, picture(&scene, &camera, &out, &["--antialias", "on"]).0);
     assert!(plain != faint && picture(&scene, &camera, &out, &["--antialias"]).0 == faint);
     thin.about.antialiased = true;
-    std::fs::write(&scene, export::still::ply(&thin)).expect("writable");
+    std::fs::write(&scene, formats::ply::write(&thin).bytes).expect("writable");
     for (more, expected) in [(&[][..], &faint), (&["--antialias", "auto"], &faint), (&["--antialias", "off"], &plain)] {
         assert!(picture(&scene, &camera, &out, more).0 == *expected, "{more:?}");
     }
@@ -136,7 +136,7 @@ fn a_picture_of_nothing_and_what_is_not_drawn_are_told() {
     spoiled.logit[3] = f32::NAN;
     spoiled.logit[4] = f32::INFINITY;
     spoiled.log_scale[5][2] = f32::NEG_INFINITY;
-    std::fs::write(&scene, export::still::ply(&spoiled)).expect("writable");
+    std::fs::write(&scene, formats::ply::write(&spoiled).bytes).expect("writable");
     let lines = picture(&scene, &camera, &out, &[]).1;
     assert!(lines.contains("scene.ply: 1 of 500 Gaussians not drawn: numbers that are not finite"), "{lines}");
     let packed = scratch.path("b.spz");
@@ -164,7 +164,7 @@ fn coordinates_of_maps_are_drawn_as_those_near_zero() {
     let near = picture(&scene, &camera, &out, &[]).0;
     let mut far = still();
     far.about.offset = [431_250.0, 5_411_800.0, 312.0];
-    std::fs::write(&scene, export::still::ply(&far)).expect("writable");
+    std::fs::write(&scene, formats::ply::write(&far).bytes).expect("writable");
     std::fs::write(
         &far_camera,
         r#"{"type": "pinhole", "position": [431250.3, 5411799.8, 309.0], "look_at": [431250, 5411800, 312.5], "fov_y_degrees": 45, "aspect": 1.5}"#,

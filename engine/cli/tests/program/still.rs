@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use streamsplat::camera::file;
-use streamsplat::export;
+use streamsplat::formats;
 use streamsplat::picture::{Picture, to_u8};
 use streamsplat::render::Renderer;
 use streamsplat::still::{Drawable, Still};
@@ -35,7 +35,7 @@ pub fn still() -> Still {
 /// Writes the scene as a PLY file, and a camera.
 pub fn prepared(scratch: &Scratch) -> (PathBuf, PathBuf) {
     let (scene, camera) = (scratch.path("scene.ply"), scratch.path("camera.json"));
-    std::fs::write(&scene, export::still::ply(&still())).expect("writable");
+    std::fs::write(&scene, formats::ply::write(&still()).bytes).expect("writable");
     std::fs::write(&camera, CAMERA).expect("writable");
     (scene, camera)
 }
@@ -108,9 +108,11 @@ fn images_along_a_path_are_those_drawn_alone() {
 fn a_ply_file_exported_again_is_the_same_file() {
     let scratch = Scratch::new();
     let (scene, _) = prepared(&scratch);
-    for (format, expected) in
-        [("ply", export::still::ply(&still())), ("splat", splat()), ("spz", export::still::spz(&still()))]
-    {
+    for (format, expected) in [
+        ("ply", formats::ply::write(&still()).bytes),
+        ("splat", splat()),
+        ("spz", formats::spz::write(&still(), formats::SpzVersion::V3).bytes),
+    ] {
         for out in [format!("again.{format}"), format!("folder-{format}")] {
             let path = scratch.path(&out);
             let output =
@@ -130,7 +132,7 @@ fn a_ply_file_exported_again_is_the_same_file() {
 
 fn splat() -> Vec<u8> {
     let workers = Workers::new(Level::scalar(), 1).expect("one thread");
-    export::still::splat(&Drawable::new(still(), &workers).expect("even arrays"))
+    formats::splat::write(&Drawable::new(still(), &workers).expect("even arrays")).bytes
 }
 
 #[test]
@@ -157,7 +159,7 @@ fn what_a_ply_file_does_not_have_is_said_and_nothing_written() {
         let text = fails(&output.expect("the program starts"), 2);
         assert!(text.contains(expected), "{text}");
     }
-    let mut short = export::still::ply(&still());
+    let mut short = formats::ply::write(&still()).bytes;
     short.truncate(short.len() - 1);
     std::fs::write(&scene, short).expect("writable");
     for name in ["render", "inspect", "export", "track", "view"] {

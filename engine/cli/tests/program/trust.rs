@@ -152,7 +152,7 @@ fn every_test_that_the_page_of_formats_names_exists() {
     };
     let tests: Vec<&str> = code.filter(is_test).collect();
     assert!(tests.len() > 25, "{} tests", tests.len());
-    let text = sources(&root().join("engine/src/import")) + &sources(&root().join("engine/cli/tests/program"));
+    let text = sources(&root().join("engine/src/formats")) + &sources(&root().join("engine/cli/tests/program"));
     for test in tests {
         assert!(text.contains(&format!("fn {test}(")), "docs/formats.md: no test {test}");
     }

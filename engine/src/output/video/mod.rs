@@ -18,10 +18,11 @@ use std::path::{Path, PathBuf};
 use super::storage::{self, Output};
 use super::{OutputError, Written, folder_of, partial_name};
 use crate::picture::Picture;
+use crate::source::Sound;
 use encode::Encoder;
 pub use encode::qualities;
 pub use resume::VideoPoint;
-pub use sound::{Sound, holds_sound};
+pub use sound::holds_sound;
 
 /// Endings of video files, the first written by this library, the others by ffmpeg.
 pub const VIDEOS: [&str; 9] = ["y4m", "mp4", "webm", "mkv", "mov", "m4v", "gif", "webp", "avif"];

@@ -1,21 +1,11 @@
 //! Adds the source's sound to the encoded pictures.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Stdio;
 
 use super::encode::{container, ffmpeg, first_line, is_encoded, url};
 use crate::output::storage;
-
-/// Sound for a video.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Sound {
-    /// The file with the sound; its first track is used.
-    pub file: PathBuf,
-    /// Its codec, in ffmpeg's names.
-    pub codec: String,
-    /// Time in the file at which the first picture is shown, in seconds after the file's beginning.
-    pub start: f64,
-}
+use crate::source::Sound;
 
 /// Returns true if video files of this name get the source's sound, if it has any.
 pub fn holds_sound(path: &Path) -> bool {

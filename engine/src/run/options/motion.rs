@@ -1,6 +1,6 @@
 //! Cameras that move around a scene's middle, and pairs of eyes, from their options.
 
-use crate::camera::turn::{Angles, Turn};
+use crate::render::turn::{Angles, Turn};
 
 use crate::run::Error;
 use crate::run::options::{Fill, Motion, Swing};

@@ -16,7 +16,7 @@
 use super::MOST;
 use super::columns::{Column, Values};
 use super::quantise::{COLOUR_AT, GAMMA, LIMIT, MEAN, OFFSET, Quantised, RATE_AT, THICKNESS_AT, VALUES, VELOCITY};
-use crate::import::FormatError;
+use crate::formats::FormatError;
 use crate::stream::{Handover, Merge, Reference};
 use std::collections::BTreeMap;
 

@@ -6,7 +6,7 @@
 
 use flate2::{Compress, Compression, Decompress, FlushCompress, FlushDecompress, Status};
 
-use crate::import::FormatError;
+use crate::formats::FormatError;
 
 /// Largest expansion of a byte by deflate.
 const MOST_RATIO: usize = 1032;

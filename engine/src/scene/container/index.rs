@@ -1,7 +1,7 @@
 //! The index: position and properties of each interval's chunk.
 
 use super::{ALONE_EVERY, CONTAINER_VERSION, MAGIC, MOST, WITHOUT_FRAMES};
-use crate::import::FormatError;
+use crate::formats::FormatError;
 use crate::scene::PlacementRecord;
 use crate::scene::frames::check;
 

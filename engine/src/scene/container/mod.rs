@@ -11,6 +11,7 @@
 
 mod chunk;
 mod columns;
+use crate::recognise::CONTAINER_MAGIC as MAGIC;
 #[cfg(feature = "viewer")]
 mod images;
 mod index;
@@ -26,8 +27,6 @@ pub(super) use read::Container;
 pub use read::intervals_from_container;
 pub use write::ContainerWriter;
 
-/// The first bytes of a container.
-pub const MAGIC: [u8; 8] = *b"ssplat\x1a\n";
 /// The latest version. This program writes it where a scene lists times of frames, otherwise version 3, which is the
 /// same without them. It also reads version 2, in which every record's thickness is 1, and version 1, in which colours
 /// do not change either.

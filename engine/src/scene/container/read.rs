@@ -10,7 +10,7 @@ use super::chunk::decode;
 use super::index::{Entry, HEADER, TRAILER, Table, version};
 use super::quantise::Quantised;
 use crate::fit::Placement;
-use crate::import::{FormatError, Limits};
+use crate::formats::{FormatError, Limits};
 use crate::scene::read::{MERGE, RECORD};
 use crate::scene::{FORMAT, Index, IntervalEntry, SceneError};
 use crate::stream::{DynamicGaussians, Interval, Merge};

@@ -132,8 +132,8 @@ fn a_container_of_version_1_is_read_as_it_was() {
     let bytes = std::fs::read(&path).expect("readable");
     let intervals = intervals_from_container(&bytes).expect("sound");
     // The export of the program that wrote it.
-    let snapshot = crate::render::Snapshot::of(&intervals[1], 0.02, &workers(1)).expect("inside");
-    let digest = blake3::hash(&crate::export::ply(&snapshot)).to_hex();
+    let snapshot = crate::stream::Snapshot::of(&intervals[1], 0.02, &workers(1)).expect("inside");
+    let digest = blake3::hash(&crate::formats::ply::write(&crate::still::Still::of(&snapshot)).bytes).to_hex();
     assert_eq!(digest.as_str(), "6698c4d4cec34629b96221bcd90d85bc07e801dcd367fd30a83886b8b2880eed");
     // Written again it is of version 3 with the same records, and four empty columns more in each chunk.
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -18,7 +18,7 @@ use super::beyond::{Beyond, middle};
 use super::covered::Covered;
 use super::edges::Surfaces;
 use super::order::SLOPE;
-use super::y_at;
+use crate::world::y_at;
 
 /// Opacity of a Gaussian behind.
 const OPACITY: f32 = 0.95;
@@ -97,9 +97,10 @@ impl Surfaces<'_> {
 mod tests {
     use streamsplat_kernels::Level;
 
+    use super::super::DepthMap;
     use super::super::beyond::grid;
-    use super::super::{DepthMap, FAR, NEAR, scene_depth};
     use super::*;
+    use crate::world::{FAR, NEAR, scene_depth};
 
     const SIZE: [usize; 2] = [4, 128];
 

@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use super::edges::Surfaces;
-use super::scene_depth;
+use crate::world::scene_depth;
 
 /// Pixels of a cell's side.
 pub(super) const CELL: usize = 2;
@@ -99,8 +99,9 @@ impl Surfaces<'_> {
 mod tests {
     use streamsplat_kernels::Level;
 
-    use super::super::{DepthMap, FAR, NEAR};
+    use super::super::DepthMap;
     use super::*;
+    use crate::world::{FAR, NEAR};
 
     /// The surfaces of rows that are all alike, 64 pixels wide.
     fn with(inverse: impl Fn(usize) -> f32, see: impl Fn(&Surfaces<'_>)) {

@@ -12,9 +12,10 @@ use rayon::prelude::*;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::flow::{self, Step};
 
+use super::DepthMap;
 use super::beyond::{Beyond, CELL, grid, middle};
 use super::edges::Surfaces;
-use super::{DepthMap, scene_depth};
+use crate::world::scene_depth;
 
 /// The colour of a surface where something is in front of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

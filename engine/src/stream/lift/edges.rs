@@ -17,8 +17,9 @@
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
 
+use super::DepthMap;
 use super::sides::{Picture, Weights};
-use super::{DepthMap, scene_depth};
+use crate::world::{map_value, scene_depth};
 
 /// Pixels around a place that are read, along rows and columns.
 pub(super) const REACH: usize = 4;
@@ -139,7 +140,7 @@ impl<'a> Surfaces<'a> {
         } else {
             let z = self.picture.on_side([row, column], side, middle).median(total);
             let keeps = side == own_side && !self.edge(z, self.z[own]);
-            if keeps { self.map.inverse[own] } else { super::map_value(z) }
+            if keeps { self.map.inverse[own] } else { map_value(z) }
         };
         Place { inverse, near: side == 0, clear: self.clear(row, column, scene_depth(inverse)) }
     }
@@ -217,7 +218,6 @@ fn around(z: &[f32], [height, width]: [usize; 2]) -> Vec<[f32; 2]> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::map_value;
     use super::*;
 
     const SIZE: [usize; 2] = [21, 149];

@@ -38,6 +38,7 @@ use rayon::prelude::*;
 use streamsplat_kernels::Level;
 use streamsplat_model::StaticGaussians;
 
+use crate::world::{scene_depth, y_at};
 use edges::Surfaces;
 
 mod align;
@@ -54,11 +55,6 @@ pub(super) use align::{Alignment, Link, align};
 pub use covered::Covered;
 pub(super) use covered::{Memory, Past, contradiction};
 pub(super) use fill::normalise_most;
-
-/// y of a map's farthest value.
-pub const FAR: f32 = 0.1;
-/// y of a map's nearest value.
-pub const NEAR: f32 = 0.95;
 
 /// Factor on standard deviations: Gaussians that overlap less depend less on their order.
 const NARROWER: f32 = 0.95;
@@ -84,27 +80,6 @@ pub struct DepthMap {
     pub confidence: Option<Vec<f32>>,
     /// Height and width.
     pub resolution: [usize; 2],
-}
-
-/// z in the scene of a map's value.
-pub(crate) fn scene_depth(d: f32) -> f32 {
-    let y = (NEAR - FAR).mul_add(d.clamp(0.0, 1.0), FAR);
-    1.0 / 9.8f32.mul_add(y, 0.2)
-}
-
-/// The map's value for a z in the scene.
-pub(crate) fn map_value(z: f32) -> f32 {
-    (y_of(z) - FAR) / (NEAR - FAR)
-}
-
-/// y of a z in the scene.
-fn y_of(z: f32) -> f32 {
-    (1.0 / z - 0.2) / 9.8
-}
-
-/// The same clamped to [0, 1].
-fn y_at(z: f32) -> f32 {
-    y_of(z).clamp(0.0, 1.0)
 }
 
 /// Gaussians that a lift adds after the model's own.

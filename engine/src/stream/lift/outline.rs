@@ -8,8 +8,9 @@
 use rayon::prelude::*;
 use streamsplat_model::StaticGaussians;
 
+use super::THIN;
 use super::edges::{Place, Surfaces};
-use super::{THIN, scene_depth, y_at};
+use crate::world::{scene_depth, y_at};
 
 /// Pixels from an edge.
 const BAND: f32 = 3.0;
@@ -63,8 +64,9 @@ impl Surfaces<'_> {
 mod tests {
     use streamsplat_kernels::Level;
 
-    use super::super::{DepthMap, FAR, NEAR};
+    use super::super::DepthMap;
     use super::*;
+    use crate::world::{FAR, NEAR};
 
     #[test]
     fn pixels_along_edges_of_depth_and_colour_get_their_own_on_their_side() {

@@ -1,4 +1,4 @@
-// Files of still scenes read by the page itself. engine/src/import documents the meaning of their numbers and which files are errors.
+// Files of still scenes read by the page itself. engine/src/formats documents the meaning of their numbers and which files are errors.
 
 /** Bytes of a block. */
 const BLOCK = 4 * 2 ** 20;

@@ -1,4 +1,4 @@
-// Formats recognised by the start of files, as in engine/src/import/formats.rs; only `.splat` by its name.
+// Formats recognised by the start of files, as in engine/src/formats/table.rs; only `.splat` by its name.
 
 /** Formats that are not read here: a text in the file, where it stands, the format's name, and the command that takes it. */
 const OTHERS = [

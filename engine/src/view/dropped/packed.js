@@ -1,4 +1,4 @@
-// Compressed PLY, as engine/src/import/ply/packed.rs reads it.
+// Compressed PLY, as engine/src/formats/compressed_ply/mod.rs reads it.
 
 /** Least and greatest values in a chunk, by axis: of positions, of scales, of colours. */
 const BOUNDS = ["x y z", "scale_x scale_y scale_z", "r g b"].map((axes) => ["min_", "max_"].flatMap((end) => axes.split(" ").map((axis) => end + axis)));

@@ -1,4 +1,4 @@
-// Binary PLY files of floats, as engine/src/import/ply reads them.
+// Binary PLY files of floats, as engine/src/formats/ply reads them.
 
 const MAX_HEADER = 1 << 22;
 /** Bytes after the last element that are passed over at most: line ends and zeros. */
@@ -10,7 +10,7 @@ const SAME = { float32: "float", uint32: "uint", uint8: "uchar" };
 /** Properties in the order of a Gaussian's row. */
 const WANTED = ["x", "y", "z", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "f_dc_0", "f_dc_1", "f_dc_2"];
 
-/** Comments that mark a scene as trained with anti-aliasing or without, as engine/src/import/ply/comments.rs reads them; null for others. */
+/** Comments that mark a scene as trained with anti-aliasing or without, as engine/src/formats/ply/comments.rs reads them; null for others. */
 function markOf([key, value, ...more]) {
   if (more.length || value === undefined) return null;
   const marks = { "splatrendermode: mip": true, "splatrendermode: default": false, "splatrendermode: 2dgs": false, "antialiased 1": true, "antialiased 0": false };

@@ -1,4 +1,4 @@
-// The 32-byte records of web viewers, as engine/src/import/splat.rs reads them.
+// The 32-byte records of web viewers, as engine/src/formats/splat/mod.rs reads them.
 
 const SPLAT = 32;
 const SPLAT_COLOURS = byByte((byte) => coefficientOf(byte / 255));

@@ -1,4 +1,4 @@
-// SPZ, as engine/src/import/spz reads it: versions 1 to 3 in one gzip stream, version 4 with a zstd frame for each attribute.
+// SPZ, as engine/src/formats/spz reads it: versions 1 to 3 in one gzip stream, version 4 with a zstd frame for each attribute.
 
 /** Bytes of the header before version 4, and in it. */
 const [SPZ_HEADER, SPZ_HEADER_4] = [16, 32];

@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::page::{PageError, Whole};
 use super::source::{Description, IntervalTimes, Source};
-use crate::import::StillFile;
+use crate::open::StillFile;
 use crate::picture::Picture;
 use crate::render::{RenderError, RenderOptions, Renderer, Size};
 use crate::scene::SceneError;

@@ -3,11 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use streamsplat::import::{self, Limits};
+use streamsplat::folder::natural;
+use streamsplat::formats::Limits;
+use streamsplat::open;
 use streamsplat::output::VIDEOS;
 use streamsplat::samples::{self, Kind};
 use streamsplat::scene::INDEX;
-use streamsplat::source::natural;
 use streamsplat::stream::Workers;
 
 use crate::command::compare::account::Account;
@@ -146,7 +147,7 @@ fn entry(
     let both = |test: fn(&Path) -> bool| test(a) && test(b);
     match kinds {
         [Entry::Scene, Entry::Scene] => account.scenes(name, scenes::compare(a, b, limits, workers)?),
-        [Entry::File, Entry::File] if both(import::is_scene) => {
+        [Entry::File, Entry::File] if both(open::is_scene) => {
             account.scenes(name, scenes::compare(a, b, limits, workers)?);
         }
         [Entry::File, Entry::File] if both(is_picture) => pictures::parts([a, b], name, account)?,
@@ -161,6 +162,5 @@ fn entry(
 fn is_picture(path: &Path) -> bool {
     let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_ascii_lowercase();
     let named = VIDEOS.contains(&ending.as_str()) || ["avi", "mpg", "mpeg", "ts", "wmv"].contains(&ending.as_str());
-    samples::kind(path)
-        .map_or(named || streamsplat::source::folder::is_image(path), |kind| kind != Kind::Video || named)
+    samples::kind(path).map_or(named || streamsplat::folder::is_image(path), |kind| kind != Kind::Video || named)
 }

@@ -9,7 +9,7 @@ mod scenes;
 use std::path::Path;
 
 use serde_json::{Value, json};
-use streamsplat::import;
+use streamsplat::open;
 use streamsplat::output::{picture_png, write_file};
 use streamsplat::recognise::{self, Kind};
 use streamsplat::samples::Part;
@@ -34,7 +34,7 @@ impl Content {
     fn of(path: &Path) -> Result<Content, Failure> {
         let found = path.metadata().map_err(|e| Failure::usage(format!("{}: cannot be read: {e}", path.display())))?;
         if !found.is_dir() {
-            let scene = path.file_name().is_some_and(|name| name == INDEX) || import::is_scene(path);
+            let scene = path.file_name().is_some_and(|name| name == INDEX) || open::is_scene(path);
             if let Some(Kind::Other(found, advice)) = recognise::kind(path).filter(|_| !scene) {
                 let expected = "an image, a video or a scene";
                 return Err(Failure::work(format!("{}: expected {expected}, found {found}: {advice}", path.display())));

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use serde_json::{Value, json};
-use streamsplat::import::{self, Limits, Opened, StillFile};
+use streamsplat::formats::Limits;
+use streamsplat::open::{self, Opened, StillFile};
 use streamsplat::scene::Scene;
 use streamsplat::still::Still;
 use streamsplat::stream::{Interval, Workers};
@@ -113,7 +114,7 @@ fn columns(part: &str, a: &[Column<'_>], b: &[Column<'_>], lines: &mut Vec<Strin
 
 /// Compares two scenes.
 pub fn compare(a: &Path, b: &Path, limits: &Limits, workers: &Workers) -> Result<Outcome, Failure> {
-    let read = |path| workers.install(|| import::open(path, limits));
+    let read = |path| workers.install(|| open::scene(path, limits));
     match (read(a)?, read(b)?) {
         (Opened::Still(a), Opened::Still(b)) => Ok(still(&a, &b)),
         (Opened::Moving(a), Opened::Moving(b)) => moving(&a, &b),

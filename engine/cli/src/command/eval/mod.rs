@@ -16,11 +16,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use serde::Serialize;
+use streamsplat::folder;
 use streamsplat::gap::interpolation::Small;
 use streamsplat::gap::{Gap, predicted};
 use streamsplat::lpips::Lpips;
 use streamsplat::picture::Picture;
-use streamsplat::source::{self, Source, folder};
+use streamsplat::source::{self, Source};
 use streamsplat::stream::{Interval, Reconstructor, Reuse, Settings};
 use streamsplat::{Engine, Image, Size};
 
@@ -162,7 +163,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
 
 /// Returns the clip itself, or the clips of a folder of folders, in natural order.
 fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
-    if !input.is_dir() || folder::images(input).is_ok() {
+    if !input.is_dir() || folder::has_images(input) {
         return Ok(vec![input.to_owned()]);
     }
     let unreadable = |e: std::io::Error| Failure::work(format!("{}: {e}", input.display()));
@@ -172,12 +173,12 @@ fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
         let path = entry.path();
         let hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
         let video = path.extension().is_some_and(|e| e == "y4m");
-        if !hidden && (video || (path.is_dir() && folder::images(&path).is_ok())) {
+        if !hidden && (video || (path.is_dir() && folder::has_images(&path))) {
             clips.push(path);
         }
     }
     let name = |path: &PathBuf| path.file_name().map(|n| n.as_encoded_bytes().to_vec()).unwrap_or_default();
-    clips.sort_by(|a, b| source::natural::compare(&name(a), &name(b)));
+    clips.sort_by(|a, b| folder::natural::compare(&name(a), &name(b)));
     if clips.is_empty() {
         return Err(Failure::work(format!("{}: the folder holds neither images nor clips", input.display())));
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use serde::Deserialize;
-use streamsplat::import::read_text;
+use streamsplat::formats::read_text;
 use streamsplat::recognise;
 use streamsplat::run::options::{Motion, ViewOptions};
 

@@ -11,7 +11,8 @@ use std::time::Instant;
 use serde_json::{Value, json};
 use streamsplat::Image;
 use streamsplat::difference::{Difference, Place, heat};
-use streamsplat::import::{self, Limits, Opened};
+use streamsplat::formats::Limits;
+use streamsplat::open::{self, Opened};
 use streamsplat::output::{picture_png, prepare_folder, prepare_subfolder, storage, write_file};
 use streamsplat::picture::Picture;
 use streamsplat::samples::Part;
@@ -52,7 +53,7 @@ fn draw(
     views.options.alpha = views.transparent;
     times::check_rate(options.fps)?;
     let mut drawing = Drawing::new(workers, views.backend)?;
-    let scene = match workers.install(|| import::open(scene, limits))? {
+    let scene = match workers.install(|| open::scene(scene, limits))? {
         Opened::Still(file) => {
             let plan = still::Plan::new(&file, options, &views)?;
             let blake3 = file.blake3.clone();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use streamsplat::Image;
-use streamsplat::import::read_text;
+use streamsplat::formats::read_text;
 use streamsplat::picture::Picture;
 
 use crate::console::failure::Failure;
