@@ -57,5 +57,7 @@ pub use settings::{
 pub use work::{StageWork, Work};
 pub use workers::Workers;
 
+pub use streamsplat_model::columns::{Column, Numbers, Value};
+
 #[cfg(test)]
 mod tests;
