@@ -11,8 +11,7 @@ use streamsplat_kernels::raster::Projection;
 use crate::camera::Camera;
 use crate::render::{RenderError, View};
 use crate::space::{Hit, Picker, Ray, most_visible};
-use crate::stream::Snapshot;
-use crate::stream::{Interval, Record, Reference, Workers};
+use crate::stream::{Interval, Record, Reference, Snapshot, Workers};
 
 /// A Gaussian at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -33,21 +33,21 @@ pub enum Sampling {
     },
 }
 
-/// Gaussians of one frame at the frame's own time, one per 2×2 pixels, row by row.
-///
-/// They have no rotation. The third standard deviation, along y, is the mean of the other two times the thickness.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct StaticGaussians {
+crate::columns! {
+    /// A Gaussian of one frame at the frame's own time. It has no rotation.
+    StaticGaussian;
+    /// Gaussians of one frame at the frame's own time, one per 2×2 pixels, row by row.
+    StaticGaussians;
     /// World position (x, y, z): x in [−1, 1] left to right, y normalised inverse depth, z in [1, −1] top to bottom.
-    pub position: Vec<[f32; 3]>,
+    position: [f32; 3];
     /// Standard deviations (s_x, s_z).
-    pub scale: Vec<[f32; 2]>,
+    scale: [f32; 2];
     /// Standard deviation along y over the mean of the other two: 1 in the model's output.
-    pub thickness: Vec<f32>,
+    thickness: f32 = 1.0;
     /// In [0.05, 1].
-    pub opacity: Vec<f32>,
+    opacity: f32;
     /// In [0, 1].
-    pub rgb: Vec<[f32; 3]>,
+    rgb: [f32; 3];
 }
 
 /// Static reconstruction of one frame.

@@ -20,6 +20,7 @@
 #![deny(unsafe_code)]
 
 pub mod checkpoint;
+pub mod columns;
 mod config;
 pub mod cost;
 mod decoder;
@@ -49,7 +50,9 @@ pub use dino::Dino;
 pub use dino_layout::DinoLayout;
 pub use dino_session::DinoSession;
 pub use error::ModelError;
-pub use frame::{Deformation, DinoFeatures, Embedding, FrameInput, Sampling, Side, StaticFrame, StaticGaussians};
+pub use frame::{
+    Deformation, DinoFeatures, Embedding, FrameInput, Sampling, Side, StaticFrame, StaticGaussian, StaticGaussians,
+};
 pub use network::Network;
 pub use options::{LoadOptions, Precision, UnknownPrecision};
 pub use session::Session;

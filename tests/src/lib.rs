@@ -12,11 +12,16 @@ pub mod turned;
 
 use std::sync::LazyLock;
 
-use streamsplat::stream::Workers;
+use streamsplat::stream::{DynamicGaussians, Workers};
 use streamsplat_kernels::Level;
 
 /// Threads for tests that do not vary levels and threads.
 pub fn workers() -> &'static Workers {
     static WORKERS: LazyLock<Workers> = LazyLock::new(|| Workers::new(Level::detect(), 2).expect("threads start"));
     &WORKERS
+}
+
+/// Every bit of the Gaussians.
+pub fn bits(gaussians: &DynamicGaussians) -> Vec<u8> {
+    gaussians.columns().iter().flat_map(|column| column.numbers.to_bytes()).collect()
 }

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use streamsplat::Frame;
 use streamsplat::stream::{Motion, Reconstructor, Session};
 use streamsplat_model::reuse::Saving;
-use streamsplat_model::{Embedding, FrameInput, ModelError, Sampling, Side, StaticGaussians};
+use streamsplat_model::{Embedding, FrameInput, ModelError, Sampling, Side, StaticGaussian, StaticGaussians};
 
 /// Inverse depth of the backdrop.
 pub const BACKDROP: f32 = 0.25;
@@ -123,12 +123,14 @@ impl Session for Performance {
                 (BACKDROP, [0.1, 0.5 + 0.3 * x, 0.5 - 0.3 * z])
             };
             let bad = self.0.poison == Some((cell, 0));
-            g.position.push([x + shift, depth, if bad { f32::NAN } else { z }]);
-            g.scale.push(self.0.lattice.map(|side| 0.7 / side as f32));
-            g.scale.last_mut().expect("just pushed").reverse();
-            g.thickness.push(1.0);
-            g.opacity.push(0.95);
-            g.rgb.push(colour);
+            let [height, width] = self.0.lattice.map(|side| 0.7 / side as f32);
+            g.push(StaticGaussian {
+                position: [x + shift, depth, if bad { f32::NAN } else { z }],
+                scale: [width, height],
+                opacity: 0.95,
+                rgb: colour,
+                ..StaticGaussian::default()
+            });
         }
         Ok(g)
     }

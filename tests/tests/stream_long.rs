@@ -71,12 +71,12 @@ fn pairwise_key_frame_ten_thousand_equals_a_fresh_stream() {
         other = Some(push(&mut fresh, theatre.frame(wander(k)), k));
     }
     let other = other.expect("pushed");
-    let (a, b) = (&last.gaussians, &other.gaussians);
-    assert_eq!(a.len(), b.len());
-    assert_eq!(
-        (&a.mean, &a.velocity, &a.gamma, &a.opacity, &a.scale, &a.thickness, &a.rgb, &a.rgb_rate, &a.reference),
-        (&b.mean, &b.velocity, &b.gamma, &b.opacity, &b.scale, &b.thickness, &b.rgb, &b.rgb_rate, &b.reference)
-    );
+    let [a, b] = [&last, &other].map(|interval| {
+        let mut columns = interval.gaussians.columns();
+        columns.retain(|column| !["identity", "birth", "frame", "offset", "handover"].contains(&column.name));
+        columns
+    });
+    assert_eq!(a, b);
     assert_eq!((last.start, last.end), (other.start, other.end));
     for time in [last.start, 0.5 * (last.start + last.end), last.end] {
         let draw =

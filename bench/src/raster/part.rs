@@ -8,8 +8,7 @@ use streamsplat::fit::{Fit, Placement};
 use streamsplat::render::Renderer;
 use streamsplat::space::{Bounds, Tree};
 use streamsplat::still::{Drawable, Still};
-use streamsplat::stream::Snapshot;
-use streamsplat::stream::{DynamicGaussians, Record, Workers};
+use streamsplat::stream::{DynamicGaussians, Record, Snapshot, Workers};
 use streamsplat::{Camera, Image, Interval, RenderOptions, Size};
 use streamsplat_kernels::Level;
 

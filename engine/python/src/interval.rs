@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
+use numpy::PyArray1;
 use numpy::ndarray::{ArrayView1, ArrayView2};
-use numpy::{Element, PyArray1, PyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use streamsplat::fit::Placement;
@@ -14,8 +14,7 @@ use streamsplat::picture::Picture;
 use streamsplat::render::Renderer;
 use streamsplat::scene::{from_safetensors, to_safetensors};
 use streamsplat::still::Still;
-use streamsplat::stream::Snapshot;
-use streamsplat::stream::{DynamicGaussians, Workers};
+use streamsplat::stream::{DynamicGaussians, Numbers, Snapshot, Value, Workers};
 use streamsplat_kernels::Level;
 
 use crate::arguments::{self, Place};
@@ -210,24 +209,42 @@ impl Gaussians {
         &self.interval.get().inner.gaussians
     }
 
-    fn column<'py, T: Element>(&self, py: Python<'py>, values: &[T]) -> PyResult<Bound<'py, PyArray1<T>>> {
-        // SAFETY: `values` belongs to the interval, which is frozen: they are neither moved nor written while it lives.
-        unsafe { borrowed(&ArrayView1::from(values), self.interval.bind(py).clone().into_any()) }
+    /// Shows the values of a property of the interval.
+    fn array<'py, T: Value>(&self, py: Python<'py>, values: &[T]) -> PyResult<Bound<'py, PyAny>> {
+        let owner = self.interval.bind(py).clone().into_any();
+        let rows = |numbers| ArrayView2::from_shape((values.len(), T::WIDTH), numbers).map_err(failed);
+        // SAFETY: the numbers belong to the interval, which is frozen: they are neither moved nor written while it
+        // lives.
+        unsafe {
+            Ok(match T::numbers(values) {
+                Numbers::Floats(numbers) if T::WIDTH == 1 => borrowed(&ArrayView1::from(numbers), owner)?.into_any(),
+                Numbers::Floats(numbers) => borrowed(&rows(numbers)?, owner)?.into_any(),
+                Numbers::Words(numbers) => borrowed(&ArrayView1::from(numbers), owner)?.into_any(),
+                Numbers::Codes(numbers) => PyArray1::from_vec(py, numbers).into_any(),
+            })
+        }
     }
+}
 
-    fn table<'py, T: Element, const K: usize>(
-        &self,
-        py: Python<'py>,
-        values: &[[T; K]],
-    ) -> PyResult<Bound<'py, PyArray2<T>>> {
-        // SAFETY: as in `column`.
-        unsafe { borrowed(&ArrayView2::from(values), self.interval.bind(py).clone().into_any()) }
-    }
+/// Kind and shape of the array of a property.
+macro_rules! shape {
+    ([f32; $width:literal]) => {
+        concat!("float32 [N, ", $width, "].")
+    };
+    (f32) => {
+        "float32 [N]."
+    };
+    (u64) => {
+        "uint64 [N]."
+    };
+    ($Choice:ident) => {
+        "uint8 [N]: a copy."
+    };
 }
 
 /// Defines getters that show one array each.
 macro_rules! arrays {
-    ($($(#[doc = $doc:literal])+ $name:ident: $how:ident -> $kind:ty;)+) => {
+    ($($(#[doc = $meaning:literal])+ $name:ident: $Type:tt $(= $default:expr)?;)+) => {
         #[pymethods]
         impl Gaussians {
             fn __len__(&self) -> usize {
@@ -239,51 +256,15 @@ macro_rules! arrays {
                 format!("Gaussians({} of interval {index}: arrays mean, velocity, opacity, scale, rgb, identity, …)", self.__len__())
             }
 
-            /// The end of the interval that `mean`, `opacity` and `rgb` belong to, uint8 [N]: 0 its start, 1 its end. A
-            /// copy.
+            $($(#[doc = $meaning])+
+            #[doc = ""]
+            #[doc = shape!($Type)]
             #[getter]
-            fn reference<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u8>> {
-                PyArray1::from_iter(py, self.records().reference.iter().map(|&r| r as u8))
-            }
-
-            /// uint8 [N]: 0 stays, 1 fades in after the start, 2 fades out before the end. A copy.
-            #[getter]
-            fn handover<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<u8>> {
-                PyArray1::from_iter(py, self.records().handover.iter().map(|&h| h as u8))
-            }
-
-            $($(#[doc = $doc])+
-            #[getter]
-            fn $name<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, $kind>> {
-                self.$how(py, &self.records().$name)
+            fn $name<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+                self.array(py, &self.records().$name)
             })+
         }
     };
 }
 
-arrays! {
-    /// Position at the reference time, float32 [N, 3]: x right, y normalised inverse depth, z up.
-    mean: table -> PyArray2<f32>;
-    /// World units per interval, float32 [N, 3].
-    velocity: table -> PyArray2<f32>;
-    /// The opacity's window in time, float32 [N, 2].
-    gamma: table -> PyArray2<f32>;
-    /// Opacity at the reference time, float32 [N].
-    opacity: column -> PyArray1<f32>;
-    /// Standard deviations along x and z, float32 [N, 2].
-    scale: table -> PyArray2<f32>;
-    /// Standard deviation along y, in scene space, over the mean of the two, float32 [N].
-    thickness: column -> PyArray1<f32>;
-    /// Display-space colour at the reference time, float32 [N, 3].
-    rgb: table -> PyArray2<f32>;
-    /// Change of colour per interval, float32 [N, 3].
-    rgb_rate: table -> PyArray2<f32>;
-    /// Identity, uint64 [N]: never reused within a stream.
-    identity: column -> PyArray1<u64>;
-    /// The key frame in which the identity first appeared, uint64 [N].
-    birth: column -> PyArray1<u64>;
-    /// The key frame that reconstructed the record, uint64 [N].
-    frame: column -> PyArray1<u64>;
-    /// Vector from `mean` to the identity's tracked point, float32 [N, 3].
-    offset: table -> PyArray2<f32>;
-}
+streamsplat::gaussian_properties!(arrays);

@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 
 use crate::output::{OutputError, partial_name, storage};
 
-use crate::run::Error;
 use crate::run::outputs::is_inside;
 use crate::run::record::Record;
-use crate::run::{digest, ledger, resume_state};
+use crate::run::{Error, digest, ledger, resume_state};
 
 /// Removes the files listed by an earlier run in `folder`, complete or stopped, and then its lists, so that old and new
 /// results never mix. A listed file is removed only if its length and digest are unchanged; nothing is reached through

@@ -8,12 +8,11 @@ use crate::gap::{self, ControlState, Found, Gap, Group};
 use crate::picture::Picture;
 use crate::source::{Source, SourceError, TimedPicture};
 
-use crate::run::Error;
-use crate::run::Stop;
 use crate::run::choices::Choices;
 use crate::run::closeness::{SIDE, Truth};
 use crate::run::digest::InputDigest;
 use crate::run::keydepth::{KeyDepth, NetworkAccount};
+use crate::run::{Error, Stop};
 
 /// A key frame and the frames since the one before.
 pub struct KeyFrame {

@@ -14,10 +14,8 @@ use crate::render::Backend;
 use crate::scene::{ContainerWriter, IntervalEntry, SceneWriter, to_safetensors};
 use crate::source::Sound;
 use crate::still::Still;
-use crate::stream::Snapshot;
-use crate::stream::{Interval, ResumePoint, Workers};
+use crate::stream::{Interval, ResumePoint, Snapshot, Workers};
 
-use crate::run::Error;
 pub use crate::run::destination::Destination;
 use crate::run::earlier::{remove_earlier, remove_file};
 pub use crate::run::emit::{Emit, UnknownOutput};
@@ -25,7 +23,7 @@ use crate::run::ledger::Ledger;
 use crate::run::place::Place;
 use crate::run::record::OutputRecord;
 use crate::run::resume_state::Point;
-use crate::run::{emit, ledger, resume_state};
+use crate::run::{Error, emit, ledger, resume_state};
 
 /// Writes results and keeps their digests.
 pub struct Outputs {

@@ -9,9 +9,8 @@ use crate::formats::read_text;
 use crate::stream::{StageWork, Work, Workers};
 use serde::{Deserialize, Serialize};
 
-use crate::run::Error;
-use crate::run::digest;
 use crate::run::options::RunOptions;
+use crate::run::{Error, digest};
 use crate::source::MEMORY;
 
 /// Longest record read, in bytes.

@@ -28,14 +28,13 @@ use crate::scene::{resume_point_from_safetensors, resume_point_to_safetensors};
 use crate::stream::ResumePoint;
 use serde::{Deserialize, Serialize};
 
-use crate::run::Error;
 use crate::run::choices::Choices;
 use crate::run::destination::Destination;
 use crate::run::drawing::Anchor;
 use crate::run::earlier::is_as_written;
-use crate::run::ledger;
 use crate::run::record::{Counts, InputRecord, Invocation, Record, WorkRecord, absolute};
 use crate::run::terms::Terms;
+use crate::run::{Error, ledger};
 
 /// The point's file.
 const STATE: &str = "state.safetensors";

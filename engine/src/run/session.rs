@@ -20,10 +20,8 @@ use super::views::Views;
 use super::{Error, Observer, Shown, Step, Stop};
 use crate::output::{Pace, VideoFormat, holds_sound};
 use crate::picture::Picture;
-use crate::source::Sound;
-use crate::source::{self, Source};
-use crate::stream::Snapshot;
-use crate::stream::{Interval, MotionFrom, ResumePoint, Reuse};
+use crate::source::{self, Sound, Source};
+use crate::stream::{Interval, MotionFrom, ResumePoint, Reuse, Snapshot};
 use crate::{Engine, Image};
 
 /// The input, options and environment of a run.

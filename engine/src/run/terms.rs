@@ -3,10 +3,9 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::run::Error;
-use crate::run::digest;
 use crate::run::options::{DepthSource, RunOptions};
 use crate::run::record::{Build, ModelRecord, NetworkRecord, Record, absolute};
+use crate::run::{Error, digest};
 
 /// Options whose files are compared by their content instead.
 const BY_CONTENT: [&str; 2] = ["model", "dinov2"];

@@ -2,7 +2,7 @@
 
 use safetensors::tensor::{Dtype, SafeTensors};
 
-use super::records::{self, tensor, word_bytes, words};
+use super::records::{self, from_tensor, tensor, to_tensor};
 use crate::fit::Placement;
 use crate::stream::{Interval, Merge};
 
@@ -12,13 +12,13 @@ use crate::stream::{Interval, Merge};
 /// Arrays of different lengths.
 pub fn to_safetensors(interval: &Interval) -> Result<Vec<u8>, String> {
     let mut tensors = records::write(&interval.gaussians)?;
-    let merges: Vec<u64> = interval.merges.iter().flat_map(|m| [m.identity, m.into]).collect();
+    let merges: Vec<[u64; 2]> = interval.merges.iter().map(|m| [m.identity, m.into]).collect();
     let times: Vec<u8> = [interval.start, interval.end].iter().flat_map(|v| v.to_le_bytes()).collect();
     tensors.extend([
-        ("merges", Dtype::U64, vec![interval.merges.len(), 2], word_bytes(&merges)),
-        ("time", Dtype::F64, vec![2], times),
-        ("index", Dtype::U64, vec![1], word_bytes(&[interval.index])),
-        ("dropped", Dtype::U64, vec![1], word_bytes(&[interval.dropped])),
+        to_tensor("merges", &merges),
+        ("time".into(), Dtype::F64, vec![2], times),
+        to_tensor("index", &[interval.index]),
+        to_tensor("dropped", &[interval.dropped]),
     ]);
     records::serialize(&tensors, None)
 }
@@ -31,8 +31,8 @@ pub fn to_safetensors(interval: &Interval) -> Result<Vec<u8>, String> {
 pub fn from_safetensors(bytes: &[u8], placement: Placement) -> Result<Interval, String> {
     let file = SafeTensors::deserialize(bytes).map_err(|e| format!("not a readable safetensors file: {e}"))?;
     let gaussians = records::read(&file)?;
-    let word = |name: &str| Ok::<u64, String>(words::<1>(tensor(&file, name, Dtype::U64, &[Some(1)])?)[0][0]);
-    let merges = words::<2>(tensor(&file, "merges", Dtype::U64, &[None, Some(2)])?);
+    let word = |name: &str| Ok::<u64, String>(from_tensor(&file, name, Some(1))?[0]);
+    let merges = from_tensor::<[u64; 2]>(&file, "merges", None)?;
     let time: Vec<f64> = tensor(&file, "time", Dtype::F64, &[Some(2)])?
         .as_chunks::<8>()
         .0

@@ -26,9 +26,10 @@ use std::collections::HashMap;
 use safetensors::SafeTensors;
 use safetensors::tensor::Dtype;
 
-use super::records::{self, float_bytes, floats, tensor, word_bytes, words};
+use super::records::{self, Tensor, from_tensor, rows, shaped, tensor, to_tensor};
 use crate::parallax::{Found, Track, Window};
 use streamsplat_model::StaticGaussians;
+use streamsplat_model::columns::{Numbers, Source, Value};
 
 use crate::stream::{Covered, Current, KeptState, Past, ResumePoint};
 
@@ -41,71 +42,75 @@ const NOTE: &str = "note";
 /// None for points that an engine returned.
 pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> Result<Vec<u8>, String> {
     let mut tensors = Vec::new();
+    // Numbers of which Gaussians have none.
+    let counts = |name: &'static str, counts: &[u32]| {
+        (name.into(), Dtype::U32, vec![counts.len()], counts.iter().flat_map(|n| n.to_le_bytes()).collect())
+    };
     if let Some(point) = point {
-        let m = point.current.len();
-        let cells = point.current.iter().flat_map(|c| c.cell.to_le_bytes()).collect();
-        let of = |word: fn(&Current) -> u64| word_bytes(&point.current.iter().map(word).collect::<Vec<_>>());
-        let offsets: Vec<f32> = point.current.iter().flat_map(|c| c.offset).collect();
+        let current = &point.current;
         let seconds = [point.timestamp, point.length].iter().flat_map(|v| v.to_le_bytes()).collect();
         tensors = records::write(&point.survivors.iter().copied().collect())?;
         tensors.extend([
-            ("current_cell", Dtype::U32, vec![m], cells),
-            ("current_identity", Dtype::U64, vec![m], of(|c| c.identity)),
-            ("current_birth", Dtype::U64, vec![m], of(|c| c.birth)),
-            ("current_offset", Dtype::F32, vec![m, 3], float_bytes(&offsets)),
-            ("key_frame", Dtype::U64, vec![1], word_bytes(&[point.frame])),
-            ("next_identity", Dtype::U64, vec![1], word_bytes(&[point.next_identity])),
-            ("seconds", Dtype::F64, vec![2], seconds),
+            counts("current_cell", &list(current, |c| c.cell)),
+            to_tensor("current_identity", &list(current, |c| c.identity)),
+            to_tensor("current_birth", &list(current, |c| c.birth)),
+            to_tensor("current_offset", &list(current, |c| c.offset)),
+            to_tensor("key_frame", &[point.frame]),
+            to_tensor("next_identity", &[point.next_identity]),
+            ("seconds".into(), Dtype::F64, vec![2], seconds),
         ]);
         if let Some(depth) = &point.depth {
-            tensors.push(("depth", Dtype::F32, vec![2], float_bytes(depth)));
+            tensors.push(to_tensor("depth", depth));
         }
         if !point.covered.is_empty() {
-            let c = point.covered.len();
-            let cells = point.covered.iter().flat_map(|c| c.cell.to_le_bytes()).collect();
-            let places: Vec<f32> = point.covered.iter().flat_map(|c| c.at).collect();
-            let colours: Vec<f32> = point.covered.iter().flat_map(|c| c.rgb).collect();
             tensors.extend([
-                ("covered_cell", Dtype::U32, vec![c], cells),
-                ("covered_at", Dtype::F32, vec![c, 2], float_bytes(&places)),
-                ("covered_rgb", Dtype::F32, vec![c, 3], float_bytes(&colours)),
+                counts("covered_cell", &list(&point.covered, |c| c.cell)),
+                to_tensor("covered_at", &list(&point.covered, |c| c.at)),
+                to_tensor("covered_rgb", &list(&point.covered, |c| c.rgb)),
             ]);
         }
     }
     if let Some(KeptState { rgb, past, gaussians: g }) = point.and_then(|point| point.kept.as_deref()) {
-        let n = g.position.len();
-        let number = |numbers: &[u32]| numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
         tensors.extend([
-            ("kept_rgb", Dtype::F32, vec![rgb.len()], float_bytes(rgb)),
-            ("kept_count", Dtype::U32, vec![past.count.len()], number(&past.count)),
-            ("kept_fitted", Dtype::U32, vec![past.fitted.len()], number(&past.fitted)),
-            ("kept_anchor", Dtype::F32, vec![past.anchor.len()], float_bytes(&past.anchor)),
-            ("kept_position", Dtype::F32, vec![n, 3], float_bytes(g.position.as_flattened())),
-            ("kept_scale", Dtype::F32, vec![n, 2], float_bytes(g.scale.as_flattened())),
-            ("kept_thickness", Dtype::F32, vec![n], float_bytes(&g.thickness)),
-            ("kept_opacity", Dtype::F32, vec![n], float_bytes(&g.opacity)),
-            ("kept_colour", Dtype::F32, vec![n, 3], float_bytes(g.rgb.as_flattened())),
+            to_tensor("kept_rgb", rgb),
+            counts("kept_count", &past.count),
+            counts("kept_fitted", &past.fitted),
+            to_tensor("kept_anchor", &past.anchor),
         ]);
+        tensors.extend(g.columns().iter().map(|column| rows(kept_name(column.name), column.width, &column.numbers)));
     }
     if let Some(found) = point.and_then(|point| point.found.as_ref()) {
-        let shape = found.grid.to_vec();
         tensors.extend([
-            ("found_inverse", Dtype::F32, shape.clone(), float_bytes(&found.inverse)),
-            ("found_confidence", Dtype::F32, shape.clone(), float_bytes(&found.confidence)),
-            ("found_body", Dtype::F32, shape, float_bytes(&found.body)),
-            ("found_nearest", Dtype::F32, vec![1], float_bytes(&[found.nearest])),
+            plane("found_inverse", found.grid, &found.inverse),
+            plane("found_confidence", found.grid, &found.confidence),
+            plane("found_body", found.grid, &found.body),
+            to_tensor("found_nearest", &[found.nearest]),
         ]);
     }
     if let Some((tracks, cells)) = point.and_then(|p| Some((&p.window.tracks, p.window.tracks.first()?.u.len()))) {
-        let shape = vec![tracks.len(), cells];
-        let plane = |of: fn(&Track) -> &[f32]| tracks.iter().flat_map(|track| float_bytes(of(track))).collect();
+        let all = |of: fn(&Track) -> &[f32]| tracks.iter().flat_map(of).copied().collect::<Vec<_>>();
         tensors.extend([
-            ("track_u", Dtype::F32, shape.clone(), plane(|track| &track.u)),
-            ("track_v", Dtype::F32, shape.clone(), plane(|track| &track.v)),
-            ("track_astray", Dtype::F32, shape, plane(|track| &track.astray)),
+            plane("track_u", [tracks.len(), cells], &all(|track| &track.u)),
+            plane("track_v", [tracks.len(), cells], &all(|track| &track.v)),
+            plane("track_astray", [tracks.len(), cells], &all(|track| &track.astray)),
         ]);
     }
     records::serialize(&tensors, Some(HashMap::from([(NOTE.to_owned(), note.to_owned())])))
+}
+
+/// A tensor of rows and columns.
+fn plane(name: &'static str, shape: [usize; 2], values: &[f32]) -> Tensor {
+    (name.into(), Dtype::F32, shape.to_vec(), Numbers::Floats(values).to_bytes())
+}
+
+/// One value of each of `all`.
+fn list<T, V>(all: &[T], of: fn(&T) -> V) -> Vec<V> {
+    all.iter().map(of).collect()
+}
+
+/// The tensor of a property of the kept Gaussians.
+fn kept_name(property: &str) -> String {
+    format!("kept_{}", if property == "rgb" { "colour" } else { property })
 }
 
 /// Reads the resume point and the note from such a file.
@@ -122,32 +127,28 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
         return Ok((None, note));
     }
     let survivors = records::read(&file)?.iter().collect();
-    let cells = tensor(&file, "current_cell", Dtype::U32, &[None])?;
-    let m = Some(cells.len() / 4);
-    let list = |name: &str| Ok::<_, String>(words::<1>(tensor(&file, name, Dtype::U64, &[m])?));
-    let (identities, births) = (list("current_identity")?, list("current_birth")?);
-    let offsets = floats::<3>(tensor(&file, "current_offset", Dtype::F32, &[m, Some(3)])?);
-    let cells = cells.as_chunks::<4>().0.iter().map(|b| u32::from_le_bytes(*b));
-    let current = cells
-        .zip(identities)
-        .zip(births.into_iter().zip(offsets))
-        .map(|((cell, [identity]), ([birth], offset))| Current { cell, identity, birth, offset })
+    let cells = counts(&file, "current_cell")?;
+    let m = Some(cells.len());
+    let (identities, births) = (from_tensor(&file, "current_identity", m)?, from_tensor(&file, "current_birth", m)?);
+    let offsets = from_tensor(&file, "current_offset", m)?;
+    let current = (cells.into_iter().zip(identities).zip(births.into_iter().zip(offsets)))
+        .map(|((cell, identity), (birth, offset))| Current { cell, identity, birth, offset })
         .collect();
     let covered = match file.tensor("covered_cell") {
         Err(_) => Vec::new(),
         Ok(_) => {
-            let cells = tensor(&file, "covered_cell", Dtype::U32, &[None])?.as_chunks::<4>().0;
+            let cells = counts(&file, "covered_cell")?;
             let c = Some(cells.len());
-            let places = floats::<2>(tensor(&file, "covered_at", Dtype::F32, &[c, Some(2)])?);
-            let colours = floats::<3>(tensor(&file, "covered_rgb", Dtype::F32, &[c, Some(3)])?);
-            let all = cells.iter().zip(places).zip(colours);
-            all.map(|((cell, at), rgb)| Covered { cell: u32::from_le_bytes(*cell), at, rgb }).collect()
+            let places = from_tensor(&file, "covered_at", c)?;
+            let colours = from_tensor(&file, "covered_rgb", c)?;
+            let all = cells.into_iter().zip(places).zip(colours);
+            all.map(|((cell, at), rgb)| Covered { cell, at, rgb }).collect()
         }
     };
-    let word = |name: &str| Ok::<u64, String>(words::<1>(tensor(&file, name, Dtype::U64, &[Some(1)])?)[0][0]);
+    let word = |name: &str| Ok::<u64, String>(from_tensor(&file, name, Some(1))?[0]);
     let seconds = tensor(&file, "seconds", Dtype::F64, &[Some(2)])?.as_chunks::<8>().0;
     let depth = match file.names().contains(&"depth") {
-        true => floats::<2>(tensor(&file, "depth", Dtype::F32, &[Some(2)])?).into_iter().next(),
+        true => shaped(&file, "depth", &[Some(2)])?.first().copied(),
         false => None,
     };
     let found = match file.tensor("found_inverse") {
@@ -156,18 +157,13 @@ pub fn resume_point_from_safetensors(bytes: &[u8]) -> Result<(Option<ResumePoint
             let &[rows, columns] = view.shape() else {
                 return Err(format!("found_inverse: expected rows and columns, found shape {:?}", view.shape()));
             };
-            let shape = [Some(rows), Some(columns)];
-            let plane = |name: &str| {
-                let values = floats::<1>(tensor(&file, name, Dtype::F32, &shape)?);
-                Ok::<Vec<f32>, String>(values.into_iter().flatten().collect())
-            };
-            let nearest = floats::<1>(tensor(&file, "found_nearest", Dtype::F32, &[Some(1)])?);
+            let plane = |name: &str| shaped(&file, name, &[Some(rows), Some(columns)]);
             Some(Found {
                 grid: [rows, columns],
                 inverse: plane("found_inverse")?,
                 confidence: plane("found_confidence")?,
                 body: plane("found_body")?,
-                nearest: nearest[0][0],
+                nearest: from_tensor(&file, "found_nearest", Some(1))?[0],
             })
         }
     };
@@ -194,8 +190,8 @@ fn window(file: &SafeTensors<'_>) -> Result<Window, String> {
         return Err(format!("track_u: expected tracks and cells, found shape {:?}", view.shape()));
     };
     let planes = |name: &str| {
-        let values = floats::<1>(tensor(file, name, Dtype::F32, &[Some(tracks), Some(cells)])?);
-        Ok::<Vec<Vec<f32>>, String>(values.chunks(cells.max(1)).map(|plane| plane.as_flattened().to_vec()).collect())
+        let values: Vec<f32> = shaped(file, name, &[Some(tracks), Some(cells)])?;
+        Ok::<Vec<Vec<f32>>, String>(values.chunks(cells.max(1)).map(<[f32]>::to_vec).collect())
     };
     let all = planes("track_u")?.into_iter().zip(planes("track_v")?).zip(planes("track_astray")?);
     Ok(Window { tracks: all.map(|((u, v), astray)| Track { u, v, astray }).collect() })
@@ -206,24 +202,33 @@ fn kept(file: &SafeTensors<'_>) -> Result<Option<KeptState>, String> {
     if file.tensor("kept_rgb").is_err() {
         return Ok(None);
     }
-    let list = |name: &str, length: Option<usize>| {
-        let values = floats::<1>(tensor(file, name, Dtype::F32, &[length])?);
-        Ok::<Vec<f32>, String>(values.into_iter().flatten().collect())
+    let past = Past {
+        count: counts(file, "kept_count")?,
+        fitted: counts(file, "kept_fitted")?,
+        anchor: from_tensor(file, "kept_anchor", None)?,
     };
-    let numbers = |name: &str| {
-        let bytes = tensor(file, name, Dtype::U32, &[None])?.as_chunks::<4>().0;
-        Ok::<Vec<u32>, String>(bytes.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect())
-    };
-    let past =
-        Past { count: numbers("kept_count")?, fitted: numbers("kept_fitted")?, anchor: list("kept_anchor", None)? };
-    let position = floats::<3>(tensor(file, "kept_position", Dtype::F32, &[None, Some(3)])?);
-    let n = Some(position.len());
-    let gaussians = StaticGaussians {
-        scale: floats::<2>(tensor(file, "kept_scale", Dtype::F32, &[n, Some(2)])?),
-        thickness: list("kept_thickness", n)?,
-        opacity: list("kept_opacity", n)?,
-        rgb: floats::<3>(tensor(file, "kept_colour", Dtype::F32, &[n, Some(3)])?),
-        position,
-    };
-    Ok(Some(KeptState { rgb: list("kept_rgb", None)?, past, gaussians }))
+    let gaussians = StaticGaussians::read(&mut Kept { file, count: None })?;
+    Ok(Some(KeptState { rgb: from_tensor(file, "kept_rgb", None)?, past, gaussians }))
+}
+
+/// The properties of kept Gaussians, all of which a file has, and the number of their values.
+struct Kept<'a> {
+    file: &'a SafeTensors<'a>,
+    count: Option<usize>,
+}
+
+impl Source for Kept<'_> {
+    type Error = String;
+
+    fn values<T: Value>(&mut self, name: &'static str, _: Option<T>) -> Result<Vec<T>, String> {
+        let values = from_tensor(self.file, &kept_name(name), self.count)?;
+        self.count = Some(values.len());
+        Ok(values)
+    }
+}
+
+/// The counts of tensor `name`.
+fn counts(file: &SafeTensors<'_>, name: &str) -> Result<Vec<u32>, String> {
+    let bytes = tensor(file, name, Dtype::U32, &[None])?.as_chunks().0;
+    Ok(bytes.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect())
 }

@@ -12,15 +12,14 @@ fn interval(index: u64, start: f64, end: f64, count: u64) -> Interval {
         gamma: [i as f32, 0.5],
         opacity: 0.7,
         scale: [0.01, 0.02],
-        thickness: 1.0,
         rgb: [0.1, 0.2, i as f32 * 0.05],
-        rgb_rate: [0.0; 3],
         identity: u64::MAX - i,
         birth: i,
         frame: index,
         offset: [1e-9, 0.0, -1.0],
         reference: if i.is_multiple_of(2) { Reference::Start } else { Reference::End },
         handover: [Handover::None, Handover::Arrives, Handover::Leaves][i as usize % 3],
+        ..Record::default()
     };
     Interval {
         index,
@@ -162,18 +161,20 @@ fn thickness_comes_back_bit_for_bit_and_is_not_there_where_all_are_1() {
 
 #[test]
 fn rates_and_thicknesses_of_another_kind_shape_or_without_a_value_are_refused() {
-    use records::{float_bytes, serialize};
+    use records::serialize;
     use safetensors::tensor::Dtype;
+    use streamsplat_model::columns::Numbers;
 
     let mut whole = interval(1, 0.0, 1.0, 4);
-    let read = |rates: (&'static str, Dtype, Vec<usize>, Vec<u8>)| {
+    let read = |(name, dtype, shape, bytes): (&'static str, Dtype, Vec<usize>, Vec<u8>)| {
         let mut tensors = records::write(&interval(1, 0.0, 1.0, 4).gaussians).expect("even arrays");
-        tensors.push(rates);
+        tensors.push((name.into(), dtype, shape, bytes));
         let bytes = serialize(&tensors, None).expect("sound shapes");
         records::read(&safetensors::SafeTensors::deserialize(&bytes).expect("just written"))
     };
-    let rates = |shape: Vec<usize>, values: &[f32]| ("rgb_rate", Dtype::F32, shape, float_bytes(values));
-    let thickness = |shape: Vec<usize>, values: &[f32]| ("thickness", Dtype::F32, shape, float_bytes(values));
+    let floats = |name, shape, values: &[f32]| (name, Dtype::F32, shape, Numbers::Floats(values).to_bytes());
+    let rates = |shape: Vec<usize>, values: &[f32]| floats("rgb_rate", shape, values);
+    let thickness = |shape: Vec<usize>, values: &[f32]| floats("thickness", shape, values);
     assert!(read(thickness(vec![4], &[0.5; 4])).is_ok());
     for (wrong, expected) in [
         (thickness(vec![3], &[0.5; 3]), "expected F32 [4], found F32 [3]"),

@@ -205,8 +205,7 @@ mod tests {
 
     #[test]
     fn every_format_is_read_from_memory_and_other_bytes_are_named() {
-        use crate::formats::Options;
-        use crate::formats::{FORMATS, Limits, read};
+        use crate::formats::{FORMATS, Limits, Options, read};
 
         let workers = Workers::new(Level::detect(), 1).expect("a thread");
         let scene = Drawable::new(Still::of_values(values()).expect("a scene"), &workers).expect("even arrays");

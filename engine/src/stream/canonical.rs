@@ -31,7 +31,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use streamsplat_kernels::parallel::map_indexed;
 use streamsplat_kernels::raster::ALPHA_MIN;
-use streamsplat_model::StaticGaussians;
+use streamsplat_model::{StaticGaussian, StaticGaussians};
 
 use super::fuse::{Meeting, fuse};
 use super::identities::Identities;
@@ -315,15 +315,7 @@ fn arriving(step: &Step<'_>, frame: u64, dropped: &mut u64) -> Vec<Arrival> {
 }
 
 /// Gaussian `cell` of key frame `frame` without motion or identity.
-fn still(gaussians: &StaticGaussians, cell: usize, frame: u64) -> Record {
-    Record {
-        mean: gaussians.position[cell],
-        opacity: gaussians.opacity[cell],
-        scale: gaussians.scale[cell],
-        thickness: gaussians.thickness[cell],
-        rgb: gaussians.rgb[cell],
-        birth: frame,
-        frame,
-        ..Record::default()
-    }
+pub(super) fn still(gaussians: &StaticGaussians, cell: usize, frame: u64) -> Record {
+    let StaticGaussian { position: mean, scale, thickness, opacity, rgb } = gaussians.get(cell);
+    Record { mean, scale, thickness, opacity, rgb, birth: frame, frame, ..Record::default() }
 }

@@ -1,5 +1,6 @@
-//! The dynamic Gaussians of one interval, one array per property.
+//! The dynamic Gaussians of one interval, one array per property: a table of the properties, and what the values mean.
 
+use streamsplat_model::columns::{Numbers, Value};
 use streamsplat_model::motion;
 
 /// Part of an interval over which a Gaussian fades in or out at a key frame.
@@ -73,6 +74,23 @@ impl Reference {
     }
 }
 
+/// Values that files store as the code of a choice.
+macro_rules! stored_as_codes {
+    ($($Choice:ident)+) => {
+        $(impl Value for $Choice {
+            fn numbers(values: &[Self]) -> Numbers<'_> {
+                Numbers::Codes(values.iter().map(|value| *value as u8).collect())
+            }
+
+            fn from_bytes(bytes: &[u8]) -> Result<Vec<Self>, u8> {
+                bytes.iter().map(|code| Self::from_code(*code).ok_or(*code)).collect()
+            }
+        })+
+    };
+}
+
+stored_as_codes!(Handover Reference);
+
 /// A colour after a change; the colour itself, to the bit, after none.
 pub(super) fn arrived(colour: f32, change: f32) -> f32 {
     if change == 0.0 { colour } else { colour + change }
@@ -96,61 +114,63 @@ pub(super) fn deviations([sx, sz]: [f32; 2], thickness: f32) -> [f32; 3] {
     [sx, sz, (sx + sz) * 0.5 * thickness]
 }
 
-/// The record of one Gaussian over one interval.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Record {
-    /// Position at the reference time, world axes (x right, y normalised inverse depth, z up).
-    pub mean: [f32; 3],
-    /// World units per interval.
-    pub velocity: [f32; 3],
-    /// (γ₀, γ₁) of [`motion::opacity_factor`].
-    pub gamma: [f32; 2],
-    /// Opacity at the reference time.
-    pub opacity: f32,
-    /// Standard deviations (s_x, s_z).
-    pub scale: [f32; 2],
-    /// The standard deviation along the axis of view, in scene space, over the mean of the other two; the network's is
-    /// 1.
-    pub thickness: f32,
-    /// Display-space colour at the reference time.
-    pub rgb: [f32; 3],
-    /// Change of colour per interval; the network's is zero.
-    pub rgb_rate: [f32; 3],
-    /// Identity of the object that it shows: 64-bit, never reused.
-    pub identity: u64,
-    /// The key frame in which the identity was first seen.
-    pub birth: u64,
-    /// The key frame that reconstructed this record.
-    pub frame: u64,
-    /// From `mean` to the tracked point of the identity.
-    pub offset: [f32; 3],
-    /// Which end of the interval `mean`, `opacity` and `rgb` belong to.
-    pub reference: Reference,
-    /// Fade in or out at an end of the interval.
-    pub handover: Handover,
+/// Calls a macro with the properties of a Gaussian over an interval, one row for each: its meaning, name and type, and
+/// the value in scenes without it if it was added later.
+///
+/// The name is that of the field, of the tensor in folders of scenes and of the array in Python.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! gaussian_properties {
+    ($($then:tt)+) => {
+        $($then)+! {
+            /// Position at the reference time, world axes (x right, y normalised inverse depth, z up).
+            mean: [f32; 3];
+            /// World units per interval.
+            velocity: [f32; 3];
+            /// From `mean` to the tracked point of the identity.
+            offset: [f32; 3];
+            /// Standard deviations (s_x, s_z).
+            scale: [f32; 2];
+            /// The standard deviation along the axis of view, in scene space, over the mean of the other two; the
+            /// network's is 1.
+            thickness: f32 = 1.0;
+            /// Opacity at the reference time.
+            opacity: f32;
+            /// The opacity's window in time: (γ₀, γ₁) of `motion::opacity_factor`.
+            gamma: [f32; 2];
+            /// Display-space colour at the reference time.
+            rgb: [f32; 3];
+            /// Change of colour per interval; the network's is zero.
+            rgb_rate: [f32; 3] = [0.0; 3];
+            /// Identity of the object that it shows: 64-bit, never reused.
+            identity: u64;
+            /// The key frame in which the identity was first seen.
+            birth: u64;
+            /// The key frame that reconstructed this record.
+            frame: u64;
+            /// Which end of the interval `mean`, `opacity` and `rgb` belong to: 0 its start, 1 its end.
+            reference: Reference;
+            /// Fade at an end of the interval: 0 none, 1 in after the start, 2 out before the end.
+            handover: Handover;
+        }
+    };
 }
 
-impl Default for Record {
-    /// A record of zeros, except for the network's thickness.
-    fn default() -> Self {
-        Self {
-            mean: [0.0; 3],
-            velocity: [0.0; 3],
-            gamma: [0.0; 2],
-            opacity: 0.0,
-            scale: [0.0; 2],
-            thickness: 1.0,
-            rgb: [0.0; 3],
-            rgb_rate: [0.0; 3],
-            identity: 0,
-            birth: 0,
-            frame: 0,
-            offset: [0.0; 3],
-            reference: Reference::default(),
-            handover: Handover::default(),
+/// Defines [`Record`] and [`DynamicGaussians`].
+macro_rules! structures {
+    ($($row:tt)+) => {
+        streamsplat_model::columns! {
+            /// The record of one Gaussian over one interval.
+            Record;
+            /// The Gaussians of an interval, in drawing order (among equals in depth): survivors, the frame at its
+            /// start, the frame at its end.
+            DynamicGaussians;
+            $($row)+
         }
-    }
+    };
 }
+
+gaussian_properties!(structures);
 
 impl Record {
     /// Standard deviations along x, y and z of scene space.
@@ -179,180 +199,19 @@ impl Record {
     /// Returns true if every number is finite, as [`motion::opacity_factor`] requires, the colour is finite throughout
     /// the interval, and no γ, scale, thickness or opacity is negative.
     pub fn is_sound(&self) -> bool {
+        let ([sx, sz], [g0, g1]) = (self.scale, self.gamma);
         // Between the ends every rounded colour is between theirs.
-        let any_sign =
-            [self.mean, self.velocity, self.rgb, self.rgb_rate, self.rgb_at(0.0), self.rgb_at(1.0), self.offset];
-        let [sx, sz] = self.scale;
-        let not_negative = [self.gamma[0], self.gamma[1], sx, sz, self.thickness, self.opacity];
-        // 0·x is 0 for finite numbers and NaN for others; no branch for each number.
-        let undefined: f32 = any_sign.as_flattened().iter().chain(&not_negative).map(|x| 0.0 * x).sum();
-        undefined == 0.0 && not_negative.iter().all(|x| *x >= 0.0)
+        let undefined = self.undefined() + self.rgb_at(0.0).undefined() + self.rgb_at(1.0).undefined();
+        undefined == 0.0 && [g0, g1, sx, sz, self.thickness, self.opacity].iter().all(|x| *x >= 0.0)
     }
-}
-
-/// The Gaussians of an interval, in drawing order (among equals in depth): survivors, the frame at its start, the frame
-/// at its end.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct DynamicGaussians {
-    /// See [`Record::mean`].
-    pub mean: Vec<[f32; 3]>,
-    /// See [`Record::velocity`].
-    pub velocity: Vec<[f32; 3]>,
-    /// See [`Record::gamma`].
-    pub gamma: Vec<[f32; 2]>,
-    /// See [`Record::opacity`].
-    pub opacity: Vec<f32>,
-    /// See [`Record::scale`].
-    pub scale: Vec<[f32; 2]>,
-    /// See [`Record::thickness`].
-    pub thickness: Vec<f32>,
-    /// See [`Record::rgb`].
-    pub rgb: Vec<[f32; 3]>,
-    /// See [`Record::rgb_rate`].
-    pub rgb_rate: Vec<[f32; 3]>,
-    /// See [`Record::identity`].
-    pub identity: Vec<u64>,
-    /// See [`Record::birth`].
-    pub birth: Vec<u64>,
-    /// See [`Record::frame`].
-    pub frame: Vec<u64>,
-    /// See [`Record::offset`].
-    pub offset: Vec<[f32; 3]>,
-    /// See [`Record::reference`].
-    pub reference: Vec<Reference>,
-    /// See [`Record::handover`].
-    pub handover: Vec<Handover>,
 }
 
 impl DynamicGaussians {
-    /// Room for `count` records.
-    pub fn with_capacity(count: usize) -> Self {
-        Self {
-            mean: Vec::with_capacity(count),
-            velocity: Vec::with_capacity(count),
-            gamma: Vec::with_capacity(count),
-            opacity: Vec::with_capacity(count),
-            scale: Vec::with_capacity(count),
-            thickness: Vec::with_capacity(count),
-            rgb: Vec::with_capacity(count),
-            rgb_rate: Vec::with_capacity(count),
-            identity: Vec::with_capacity(count),
-            birth: Vec::with_capacity(count),
-            frame: Vec::with_capacity(count),
-            offset: Vec::with_capacity(count),
-            reference: Vec::with_capacity(count),
-            handover: Vec::with_capacity(count),
-        }
-    }
-
     /// The records of all `parts`, one part after the other.
     pub(crate) fn concat(parts: &[Self]) -> Self {
-        fn all<'a, T: Copy + 'a>(
-            parts: &'a [DynamicGaussians],
-            array: impl Fn(&'a DynamicGaussians) -> &'a Vec<T>,
-        ) -> Vec<T> {
-            let mut out = Vec::with_capacity(parts.iter().map(|part| array(part).len()).sum());
-            parts.iter().for_each(|part| out.extend_from_slice(array(part)));
-            out
-        }
-        Self {
-            mean: all(parts, |part| &part.mean),
-            velocity: all(parts, |part| &part.velocity),
-            gamma: all(parts, |part| &part.gamma),
-            opacity: all(parts, |part| &part.opacity),
-            scale: all(parts, |part| &part.scale),
-            thickness: all(parts, |part| &part.thickness),
-            rgb: all(parts, |part| &part.rgb),
-            rgb_rate: all(parts, |part| &part.rgb_rate),
-            identity: all(parts, |part| &part.identity),
-            birth: all(parts, |part| &part.birth),
-            frame: all(parts, |part| &part.frame),
-            offset: all(parts, |part| &part.offset),
-            reference: all(parts, |part| &part.reference),
-            handover: all(parts, |part| &part.handover),
-        }
-    }
-
-    /// Number of records.
-    pub fn len(&self) -> usize {
-        self.mean.len()
-    }
-
-    /// Returns true if there is none.
-    pub fn is_empty(&self) -> bool {
-        self.mean.is_empty()
-    }
-
-    /// Appends a record.
-    pub fn push(&mut self, r: Record) {
-        self.mean.push(r.mean);
-        self.velocity.push(r.velocity);
-        self.gamma.push(r.gamma);
-        self.opacity.push(r.opacity);
-        self.scale.push(r.scale);
-        self.thickness.push(r.thickness);
-        self.rgb.push(r.rgb);
-        self.rgb_rate.push(r.rgb_rate);
-        self.identity.push(r.identity);
-        self.birth.push(r.birth);
-        self.frame.push(r.frame);
-        self.offset.push(r.offset);
-        self.reference.push(r.reference);
-        self.handover.push(r.handover);
-    }
-
-    /// Returns record `i`. Panics when there are fewer, or when an array is shorter than `mean`.
-    pub fn get(&self, i: usize) -> Record {
-        Record {
-            mean: self.mean[i],
-            velocity: self.velocity[i],
-            gamma: self.gamma[i],
-            opacity: self.opacity[i],
-            scale: self.scale[i],
-            thickness: self.thickness[i],
-            rgb: self.rgb[i],
-            rgb_rate: self.rgb_rate[i],
-            identity: self.identity[i],
-            birth: self.birth[i],
-            frame: self.frame[i],
-            offset: self.offset[i],
-            reference: self.reference[i],
-            handover: self.handover[i],
-        }
-    }
-
-    /// The records in order.
-    pub fn iter(&self) -> impl ExactSizeIterator<Item = Record> + '_ {
-        (0..self.len()).map(|i| self.get(i))
-    }
-
-    /// The name and length of an array that has another length than `mean`, if any.
-    pub fn uneven(&self) -> Option<(&'static str, usize)> {
-        let lengths = [
-            ("velocity", self.velocity.len()),
-            ("gamma", self.gamma.len()),
-            ("opacity", self.opacity.len()),
-            ("scale", self.scale.len()),
-            ("thickness", self.thickness.len()),
-            ("rgb", self.rgb.len()),
-            ("rgb_rate", self.rgb_rate.len()),
-            ("identity", self.identity.len()),
-            ("birth", self.birth.len()),
-            ("frame", self.frame.len()),
-            ("offset", self.offset.len()),
-            ("reference", self.reference.len()),
-            ("handover", self.handover.len()),
-        ];
-        lengths.into_iter().find(|(_, len)| *len != self.len())
-    }
-}
-
-impl FromIterator<Record> for DynamicGaussians {
-    fn from_iter<I: IntoIterator<Item = Record>>(records: I) -> Self {
-        let records = records.into_iter();
-        let mut out = Self::with_capacity(records.size_hint().0);
-        records.for_each(|r| out.push(r));
-        out
+        let mut all = Self::with_capacity(parts.iter().map(Self::len).sum());
+        parts.iter().for_each(|part| all.append(part));
+        all
     }
 }
 
@@ -377,20 +236,19 @@ mod tests {
         for code in 0..=255u8 {
             assert!(Handover::from_code(code).is_none_or(|h| h as u8 == code));
             assert!(Reference::from_code(code).is_none_or(|r| r as u8 == code));
+            assert_eq!(Handover::from_bytes(&[0, code]).err(), (code > 2).then_some(code));
         }
         assert_eq!(Handover::from_code(2), Some(Handover::Leaves));
         assert_eq!(Reference::from_code(1), Some(Reference::End));
     }
 
     #[test]
-    fn records_come_back_as_they_went_in() {
+    fn parts_are_joined_in_order() {
         let record = Record { mean: [1.0, 2.0, 3.0], identity: 7, handover: Handover::Leaves, ..Record::default() };
-        let all: DynamicGaussians = [Record::default(), record].into_iter().collect();
-        assert_eq!(all.get(1), record);
-        assert_eq!(all.uneven(), None);
-        let mut short = all;
-        short.rgb.pop();
-        assert_eq!(short.uneven(), Some(("rgb", 1)));
+        let part = |records: &[Record]| records.iter().copied().collect::<DynamicGaussians>();
+        let all = DynamicGaussians::concat(&[part(&[record]), part(&[]), part(&[Record::default(), record])]);
+        assert_eq!(all, part(&[record, Record::default(), record]));
+        assert_eq!((all.rgb_rate.len(), all.uneven()), (3, None));
     }
 
     #[test]

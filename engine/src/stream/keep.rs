@@ -33,6 +33,7 @@ use std::sync::Arc;
 use streamsplat_kernels::parallel::map_indexed;
 use streamsplat_model::StaticGaussians;
 
+use super::canonical::still;
 use super::keyframe::KeyView;
 
 /// Side of a block, in pixels.
@@ -460,10 +461,7 @@ impl KeptState {
 
     /// Returns true if all numbers of a Gaussian can be drawn.
     pub(super) fn is_sound(&self, cell: usize) -> bool {
-        let StaticGaussians { position, scale, thickness, opacity, rgb } = &self.gaussians;
-        let not_negative = [scale[cell][0], scale[cell][1], thickness[cell], opacity[cell]];
-        not_negative.iter().all(|x| x.is_finite() && *x >= 0.0)
-            && position[cell].iter().chain(&rgb[cell]).all(|x| x.is_finite())
+        still(&self.gaussians, cell, 0).is_sound()
     }
 
     /// Returns why this cannot be the state of a key frame of this size.
@@ -472,9 +470,8 @@ impl KeptState {
         if rgb.len() != 3 * size[0] * size[1] || !rgb.iter().all(|x| (0.0..=1.0).contains(x)) {
             return Some(format!("expected a picture of {}x{} with values from 0 to 1", size[1], size[0]));
         }
-        let lengths = [g.scale.len(), g.thickness.len(), g.opacity.len(), g.rgb.len()];
-        if lengths.iter().any(|length| *length != g.position.len()) || Lattice::of(g.position.len(), size).is_none() {
-            return Some(format!("expected kept Gaussians on a lattice, found {} of them", g.position.len()));
+        if g.uneven().is_some() || Lattice::of(g.len(), size).is_none() {
+            return Some(format!("expected kept Gaussians on a lattice, found {} of them", g.len()));
         }
         past.contradiction(size)
     }
@@ -483,11 +480,7 @@ impl KeptState {
 /// Replaces the kept cells of `now` by those of `before`.
 pub(super) fn with_kept(now: &mut StaticGaussians, before: &StaticGaussians, cells: &[Change]) {
     for (cell, _) in cells.iter().enumerate().filter(|(_, change)| **change != Change::All) {
-        now.position[cell] = before.position[cell];
-        now.scale[cell] = before.scale[cell];
-        now.thickness[cell] = before.thickness[cell];
-        now.opacity[cell] = before.opacity[cell];
-        now.rgb[cell] = before.rgb[cell];
+        now.set(cell, before.get(cell));
     }
 }
 

@@ -348,8 +348,10 @@ fn gaussians(
     index: u64,
 ) -> Result<StaticGaussians, EngineError> {
     let gaussians = work.measure(Stage::Heads, || tile.session.gaussians(tokens, &sampling))?;
-    check_records(index, gaussians.position.len(), &gaussians)?;
-    Ok(gaussians)
+    match gaussians.uneven() {
+        Some((what, found)) => Err(EngineError::Records { index, what, expected: gaussians.len(), found }),
+        None => Ok(gaussians),
+    }
 }
 
 impl DepthRange {
@@ -377,20 +379,4 @@ impl DepthRange {
             }
         }
     }
-}
-
-/// Returns an error unless every array has one record per Gaussian.
-fn check_records(index: u64, expected: usize, g: &StaticGaussians) -> Result<(), EngineError> {
-    let lengths = [
-        ("scale", g.scale.len()),
-        ("thickness", g.thickness.len()),
-        ("opacity", g.opacity.len()),
-        ("rgb", g.rgb.len()),
-    ];
-    for (what, found) in lengths {
-        if found != expected {
-            return Err(EngineError::Records { index, what, expected, found });
-        }
-    }
-    Ok(())
 }

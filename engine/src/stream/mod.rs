@@ -58,5 +58,7 @@ pub use snapshot::Snapshot;
 pub use work::{StageWork, Work};
 pub use workers::Workers;
 
+pub use streamsplat_model::columns::{Column, Numbers, Value};
+
 #[cfg(test)]
 mod tests;

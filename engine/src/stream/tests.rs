@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use streamsplat_model::StaticGaussians;
+use streamsplat_model::{StaticGaussian, StaticGaussians};
 
 use super::canonical::{Advance, CanonicalSet, Layers, Step};
 use super::fuse::{Meeting, fuse};
@@ -14,14 +14,14 @@ use super::{Fusion, Handover, Merge, Record, Reference};
 
 /// Gaussians at these places, on an image wide enough that two of them are far apart.
 fn frame(places: &[[f32; 3]]) -> Arc<StaticGaussians> {
-    let n = places.len();
-    Arc::new(StaticGaussians {
-        position: places.to_vec(),
-        scale: vec![[0.01; 2]; n],
-        thickness: vec![1.0; n],
-        opacity: vec![0.8; n],
-        rgb: vec![[0.5; 3]; n],
-    })
+    let at = |&position| StaticGaussian {
+        position,
+        scale: [0.01; 2],
+        opacity: 0.8,
+        rgb: [0.5; 3],
+        ..StaticGaussian::default()
+    };
+    Arc::new(places.iter().map(at).collect())
 }
 
 fn moving(velocity: &[[f32; 3]]) -> Motion {

@@ -22,8 +22,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
-use streamsplat_model::StaticGaussians;
 use streamsplat_model::reuse::Saving;
+use streamsplat_model::{StaticGaussian, StaticGaussians};
 
 use super::reconstructor::{Motion, Reconstructor, Session, Tiling};
 use crate::fit::cut;
@@ -119,7 +119,8 @@ impl Tiles {
         }
     }
 
-    /// Composes the frame's Gaussians from those of its tiles; cells of tiles without Gaussians are zeros.
+    /// Composes the frame's Gaussians from those of its tiles; cells of tiles without Gaussians have
+    /// the defaults.
     pub(super) fn gaussians(&self, of_tiles: &[Option<Arc<StaticGaussians>>]) -> Arc<StaticGaussians> {
         if let [Some(only)] = of_tiles
             && self.tiles[0].places.is_none()
@@ -127,24 +128,15 @@ impl Tiles {
             return only.clone();
         }
         let count = self.tiles.iter().map(|tile| tile.places.as_ref().map_or(0, Vec::len)).sum();
-        let mut frame = StaticGaussians {
-            position: vec![[0.0; 3]; count],
-            scale: vec![[0.0; 2]; count],
-            thickness: vec![0.0; count],
-            opacity: vec![0.0; count],
-            rgb: vec![[0.0; 3]; count],
-        };
+        let mut frame: StaticGaussians = std::iter::repeat_n(StaticGaussian::default(), count).collect();
         for (tile, own) in self.tiles.iter().zip(of_tiles) {
             let Some(own) = own else { continue };
             let ([fx, fz], [ox, oz]) = (self.factors(tile), self.offsets(tile));
             for &[from, to] in tile.places.iter().flatten() {
-                let (from, to) = (from as usize, to as usize);
-                let ([x, y, z], [sx, sz]) = (own.position[from], own.scale[from]);
-                frame.position[to] = [x.mul_add(fx, ox), y, z.mul_add(fz, oz)];
-                frame.scale[to] = [sx * fx, sz * fz];
-                frame.thickness[to] = own.thickness[from];
-                frame.opacity[to] = own.opacity[from];
-                frame.rgb[to] = own.rgb[from];
+                let own = own.get(from as usize);
+                let ([x, y, z], [sx, sz]) = (own.position, own.scale);
+                let position = [x.mul_add(fx, ox), y, z.mul_add(fz, oz)];
+                frame.set(to as usize, StaticGaussian { position, scale: [sx * fx, sz * fz], ..own });
             }
         }
         Arc::new(frame)

@@ -6,7 +6,7 @@ use streamsplat_kernels::change::Tolerance;
 use super::Tokens;
 use super::part::PartCache;
 use super::rows::{Gate, gather, places};
-use crate::{Config, StaticGaussians};
+use crate::{Config, StaticGaussian, StaticGaussians};
 
 /// Velocity and γ of every token.
 type Motion = (Vec<[f32; 3]>, Vec<[f32; 2]>);
@@ -30,8 +30,7 @@ pub(crate) struct StaticHeadCache {
 
 impl StaticHeadCache {
     pub(super) fn bytes(&self) -> usize {
-        // Position, scale, thickness, opacity and colour.
-        self.gaussians.opacity.len() * 4 * (3 + 2 + 1 + 1 + 3)
+        self.gaussians.len() * size_of::<StaticGaussian>()
     }
 
     /// Returns the Gaussians of the `n` rows of `tokens`, the result of the last call of `upsampler`. `head` computes
@@ -48,14 +47,7 @@ impl StaticHeadCache {
         match &upsampler.latest {
             Some(changed) if follows => {
                 let some = head(&some(changed, tokens, n), Some(changed));
-                let kept = &mut self.gaussians;
-                for (i, row) in changed.iter().map(|row| *row as usize).enumerate() {
-                    kept.position[row] = some.position[i];
-                    kept.scale[row] = some.scale[i];
-                    kept.thickness[row] = some.thickness[i];
-                    kept.opacity[row] = some.opacity[i];
-                    kept.rgb[row] = some.rgb[i];
-                }
+                changed.iter().zip(some.iter()).for_each(|(row, renewed)| self.gaussians.set(*row as usize, renewed));
                 self.tokens.count(changed.len(), n);
             }
             _ => {

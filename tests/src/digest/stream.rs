@@ -2,7 +2,9 @@
 
 use streamsplat::camera::{Camera, Pose, Rotation};
 use streamsplat::scene::{ContainerWriter, intervals_from_container};
-use streamsplat::stream::{Fusion, ModelSource, MotionFrom, Quality, Resolution, SamplingMode};
+use streamsplat::stream::{
+    DynamicGaussians, Fusion, ModelSource, MotionFrom, Numbers, Quality, Resolution, SamplingMode,
+};
 use streamsplat::{Engine, Frame, Interval, RenderOptions, Settings};
 use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_kernels::Level;
@@ -161,11 +163,14 @@ fn records(digest: &mut Digest, interval: &Interval) {
         digest.floats(r.velocity.as_slice());
         digest.floats(&[r.gamma[0], r.gamma[1], r.opacity, r.scale[0], r.scale[1]]);
         digest.floats(r.rgb.as_slice());
-        if r.thickness != 1.0 {
-            digest.floats(&[r.thickness]);
-        }
-        if r.rgb_rate != [0.0; 3] {
-            digest.floats(r.rgb_rate.as_slice());
+        // Properties that were added later, where they are not their default.
+        let one: DynamicGaussians = [r].into_iter().collect();
+        for column in one.columns().iter().filter(|column| column.default.is_some() && !column.is_default()) {
+            match &column.numbers {
+                Numbers::Floats(numbers) => digest.floats(numbers),
+                Numbers::Words(numbers) => digest.integers(numbers.iter().copied()),
+                Numbers::Codes(codes) => digest.integers(codes.iter().map(|code| u64::from(*code))),
+            }
         }
     }
 }

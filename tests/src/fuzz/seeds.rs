@@ -77,15 +77,12 @@ pub(super) fn interval() -> Vec<Vec<u8>> {
             gamma: [3.0 * x, 0.5],
             opacity: 0.9,
             scale: [0.2, 0.1],
-            thickness: 1.0,
             rgb: [0.2 * x, 0.5, 1.0],
-            rgb_rate: [0.0; 3],
             identity: u64::from(i),
-            birth: 0,
             frame: 1,
-            offset: [0.0; 3],
             reference: if i.is_multiple_of(2) { Reference::Start } else { Reference::End },
             handover: [Handover::None, Handover::Arrives, Handover::Leaves][usize::from(i % 3)],
+            ..Record::default()
         }
     };
     let interval = Interval {

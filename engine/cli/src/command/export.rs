@@ -8,8 +8,7 @@ use streamsplat::formats::{self, FORMATS, Options, SpzVersion};
 use streamsplat::open::{self, Opened};
 use streamsplat::output::{prepare_folder, write_file};
 use streamsplat::scene::{ContainerWriter, Join, Scene};
-use streamsplat::stream::Snapshot;
-use streamsplat::stream::{Interval, Workers};
+use streamsplat::stream::{Interval, Snapshot, Workers};
 
 use crate::command::still;
 use crate::console::failure::Failure;

@@ -19,7 +19,6 @@ use crate::console::{Console, say, stop, version};
 use crate::options::antialias::Antialias;
 use crate::options::args::{RenderArgs, RenderOptions};
 use crate::options::times;
-use streamsplat::run::crop;
 use streamsplat::run::drawing::Drawing;
 use streamsplat::run::options::motion::Course;
 use streamsplat::run::outputs::{Destination, Emit, Finished, Outputs};
@@ -28,7 +27,7 @@ use streamsplat::run::record::{
     Build, InputRecord, Invocation, OutputRecord, PROGRAM, Record, Timing, absolute, check_name,
 };
 use streamsplat::run::views::Views;
-use streamsplat::run::{digest, report};
+use streamsplat::run::{crop, digest, report};
 
 /// Renders, then writes the record and the report.
 pub fn command(args: &RenderArgs, console: &Console) -> Result<(), Failure> {

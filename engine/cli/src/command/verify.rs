@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use streamsplat::recognise;
-use streamsplat::run::Run;
+use streamsplat::run::{Run, digest, report};
 
 use crate::command::render;
 use crate::console::failure::Failure;
@@ -12,7 +12,6 @@ use crate::options::args::VerifyArgs;
 use streamsplat::run::outputs::{Destination, Emit, is_inside};
 use streamsplat::run::place::Place;
 use streamsplat::run::record::{Invocation, Record};
-use streamsplat::run::{digest, report};
 use streamsplat::source::MEMORY;
 
 /// Compares the existing files with their digests, then repeats the work and compares again. Fails if one differs.

@@ -4,8 +4,7 @@ use std::path::Path;
 
 use streamsplat::formats::{FORMATS, Options};
 use streamsplat::scene::{Scene, SceneWriter};
-use streamsplat::stream::Snapshot;
-use streamsplat::stream::{Interval, ModelSource, Workers};
+use streamsplat::stream::{Interval, ModelSource, Snapshot, Workers};
 use streamsplat::{Engine, Frame, Settings};
 
 use crate::support::{Scratch, command, fails, files, model, run_ok};

@@ -12,7 +12,7 @@
 //! there](super::covered), otherwise the mean of the first three pixels beyond the edge. It is hidden from the frame's
 //! own camera. It moves like the surface beyond the edge.
 
-use streamsplat_model::StaticGaussians;
+use streamsplat_model::{StaticGaussian, StaticGaussians};
 
 use super::beyond::{Beyond, middle};
 use super::covered::Covered;
@@ -50,11 +50,13 @@ pub(super) fn add(
         let Some(beyond) = beyond.as_ref().filter(|beyond| beyond.is_looked_past(width)) else { continue };
         known += usize::from(remembered.is_some());
         let rgb = remembered.map_or_else(|| surfaces.extended(beyond), |covered| covered.rgb);
-        gaussians.position.push(place(middle(beyond.own), surfaces.behind(beyond)));
-        gaussians.scale.push([SCALE * 2.0 / width as f32, SCALE * 2.0 / height as f32]);
-        gaussians.thickness.push(1.0);
-        gaussians.opacity.push(OPACITY);
-        gaussians.rgb.push(rgb);
+        gaussians.push(StaticGaussian {
+            position: place(middle(beyond.own), surfaces.behind(beyond)),
+            scale: [SCALE * 2.0 / width as f32, SCALE * 2.0 / height as f32],
+            opacity: OPACITY,
+            rgb,
+            ..StaticGaussian::default()
+        });
         let away = [(beyond.away % width) as f32, (beyond.away / width) as f32];
         moving.push(place(away, y_at(beyond.farther)));
     }

@@ -181,7 +181,14 @@ fn pixel(x: f32, side: usize) -> Option<usize> {
 
 #[cfg(test)]
 mod tests {
+    use streamsplat_model::StaticGaussian;
+
     use super::*;
+
+    /// One of the model's own.
+    fn own() -> StaticGaussian {
+        StaticGaussian { scale: [1.0 / 32.0; 2], opacity: 0.9, rgb: [0.9; 3], ..StaticGaussian::default() }
+    }
 
     #[test]
     fn colours_beside_an_edge_start_from_the_picture_and_are_held_to_it() {
@@ -191,11 +198,10 @@ mod tests {
         let map = DepthMap { inverse, confidence: None, resolution: SIZE };
         let mut gaussians = StaticGaussians::default();
         for at in 0..8 * 64 {
-            gaussians.position.push([(at % 64) as f32 / 32.0 - 63.0 / 64.0, 0.5, 7.0 / 8.0 - (at / 64) as f32 / 4.0]);
-            gaussians.scale.push([1.0 / 32.0; 2]);
-            gaussians.thickness.push(1.0);
-            gaussians.opacity.push(0.9);
-            gaussians.rgb.push([0.9; 3]);
+            gaussians.push(StaticGaussian {
+                position: [(at % 64) as f32 / 32.0 - 63.0 / 64.0, 0.5, 7.0 / 8.0 - (at / 64) as f32 / 4.0],
+                ..own()
+            });
         }
         let added = lift(Level::scalar(), &mut gaussians, &map, &[0.3; 3 * 8 * 64], Some(&Memory::None));
         assert_eq!(added.held.len(), gaussians.position.len());
@@ -234,13 +240,9 @@ mod tests {
         let inverse = (0..16 * 64).map(|at| f32::from(u8::from(at % 64 >= 32))).collect();
         let map = DepthMap { inverse, confidence: None, resolution: SIZE };
         let frame: Vec<f32> = (0..3 * 16 * 64).map(|at| f32::from(u8::from(at % 64 >= 32))).collect();
-        let mut gaussians = StaticGaussians {
-            position: (0..64).map(|at| [at as f32 / 32.0 - 63.0 / 64.0, 0.5, 0.1]).collect(),
-            scale: vec![[1.0 / 32.0; 2]; 64],
-            thickness: vec![1.0; 64],
-            opacity: vec![0.9; 64],
-            rgb: vec![[0.9; 3]; 64],
-        };
+        let place = |at| [at as f32 / 32.0 - 63.0 / 64.0, 0.5, 0.1];
+        let mut gaussians: StaticGaussians =
+            (0..64).map(|at| StaticGaussian { position: place(at), ..own() }).collect();
         let added = lift(Level::scalar(), &mut gaussians, &map, &frame, Some(&Memory::None));
         assert_eq!(gaussians.thickness.len(), gaussians.position.len());
         let (seen, behind) = gaussians.thickness.split_at(64 + added.outline);

@@ -6,7 +6,7 @@
 //! fitted with all others.
 
 use rayon::prelude::*;
-use streamsplat_model::StaticGaussians;
+use streamsplat_model::{StaticGaussian, StaticGaussians};
 
 use super::THIN;
 use super::edges::{Place, Surfaces};
@@ -33,11 +33,13 @@ pub(super) fn add(gaussians: &mut StaticGaussians, surfaces: &Surfaces<'_>) -> V
     let middle = |i: usize, side: usize| (2.0 * i as f32 + 1.0) / side as f32 - 1.0;
     for (pixel, place) in &found {
         let y = y_at(scene_depth(place.inverse));
-        gaussians.position.push([middle(pixel % width, width), y, -middle(pixel / width, height)]);
-        gaussians.scale.push([SCALE * 2.0 / width as f32, SCALE * 2.0 / height as f32]);
-        gaussians.thickness.push(THIN);
-        gaussians.opacity.push(OPACITY);
-        gaussians.rgb.push(surfaces.colour(*pixel));
+        gaussians.push(StaticGaussian {
+            position: [middle(pixel % width, width), y, -middle(pixel / width, height)],
+            scale: [SCALE * 2.0 / width as f32, SCALE * 2.0 / height as f32],
+            thickness: THIN,
+            opacity: OPACITY,
+            rgb: surfaces.colour(*pixel),
+        });
     }
     found.iter().map(|(_, place)| place.held()).collect()
 }

@@ -7,24 +7,12 @@ use streamsplat::formats::Limits;
 use streamsplat::open::{self, Opened, StillFile};
 use streamsplat::scene::Scene;
 use streamsplat::still::Still;
-use streamsplat::stream::{Interval, Workers};
+use streamsplat::stream::{Column, Interval, Numbers, Workers};
 
 use crate::command::compare::Outcome;
 use crate::console;
 use crate::console::failure::Failure;
 use streamsplat::run::digest;
-
-/// A property of all Gaussians, as rows of numbers.
-struct Column<'a> {
-    name: &'static str,
-    width: usize,
-    values: Values<'a>,
-}
-
-enum Values<'a> {
-    Floats(&'a [f32]),
-    Whole(Vec<u64>),
-}
 
 /// Difference of two columns.
 #[derive(Debug, PartialEq)]
@@ -38,9 +26,13 @@ struct Apart {
 }
 
 /// Compares bits; `None` if all are equal.
-fn apart(a: &Values<'_>, b: &Values<'_>, width: usize) -> Option<Apart> {
+fn apart(a: &Numbers<'_>, b: &Numbers<'_>, width: usize) -> Option<Apart> {
+    fn whole<T: Copy + Into<u64>>(a: &[T], b: &[T]) -> Vec<(usize, f64)> {
+        let pairs = a.iter().zip(b).map(|(a, b)| ((*a).into(), (*b).into())).enumerate();
+        pairs.filter(|(_, (a, b))| a != b).map(|(i, (a, b))| (i, a.abs_diff(b) as f64)).collect()
+    }
     let pairs: Vec<(usize, f64)> = match (a, b) {
-        (Values::Floats(a), Values::Floats(b)) => {
+        (Numbers::Floats(a), Numbers::Floats(b)) => {
             let differ = a.iter().zip(*b).enumerate().filter(|(_, (a, b))| a.to_bits() != b.to_bits());
             let far = |a: f32, b: f32| {
                 let d = (f64::from(a) - f64::from(b)).abs();
@@ -48,10 +40,8 @@ fn apart(a: &Values<'_>, b: &Values<'_>, width: usize) -> Option<Apart> {
             };
             differ.map(|(i, (a, b))| (i, far(*a, *b))).collect()
         }
-        (Values::Whole(a), Values::Whole(b)) => {
-            let differ = a.iter().zip(b).enumerate().filter(|(_, (a, b))| a != b);
-            differ.map(|(i, (a, b))| (i, a.abs_diff(*b) as f64)).collect()
-        }
+        (Numbers::Words(a), Numbers::Words(b)) => whole(a, b),
+        (Numbers::Codes(a), Numbers::Codes(b)) => whole(a, b),
         _ => return None,
     };
     let &(first, _) = pairs.first()?;
@@ -68,7 +58,7 @@ fn apart(a: &Values<'_>, b: &Values<'_>, width: usize) -> Option<Apart> {
 }
 
 fn of_still(still: &Still) -> Vec<Column<'_>> {
-    let column = |name, width, values| Column { name, width, values: Values::Floats(values) };
+    let column = |name, width, values| Column { name, width, numbers: Numbers::Floats(values), default: None };
     vec![
         column("position", 3, still.mean.as_flattened()),
         column("log scale", 3, still.log_scale.as_flattened()),
@@ -80,31 +70,22 @@ fn of_still(still: &Still) -> Vec<Column<'_>> {
 }
 
 fn of_interval(interval: &Interval) -> Vec<Column<'_>> {
-    let g = &interval.gaussians;
-    let column = |name, width, values| Column { name, width, values: Values::Floats(values) };
-    let whole = |name, values: Vec<u64>| Column { name, width: 1, values: Values::Whole(values) };
-    vec![
-        column("position", 3, g.mean.as_flattened()),
-        column("velocity", 3, g.velocity.as_flattened()),
-        column("offset", 3, g.offset.as_flattened()),
-        column("scale", 2, g.scale.as_flattened()),
-        column("thickness", 1, &g.thickness),
-        column("opacity", 1, &g.opacity),
-        column("gamma", 2, g.gamma.as_flattened()),
-        column("colour", 3, g.rgb.as_flattened()),
-        column("rate of colour", 3, g.rgb_rate.as_flattened()),
-        whole("identity", g.identity.clone()),
-        whole("birth", g.birth.clone()),
-        whole("frame", g.frame.clone()),
-        whole("reference", g.reference.iter().map(|r| *r as u64).collect()),
-        whole("handover", g.handover.iter().map(|h| *h as u64).collect()),
-    ]
+    let mut columns = interval.gaussians.columns();
+    for column in &mut columns {
+        column.name = match column.name {
+            "mean" => "position",
+            "rgb" => "colour",
+            "rgb_rate" => "rate of colour",
+            name => name,
+        };
+    }
+    columns
 }
 
 /// Returns lines and JSON of the columns that differ; `part` names the interval.
 fn columns(part: &str, a: &[Column<'_>], b: &[Column<'_>], lines: &mut Vec<String>, found: &mut Vec<Value>) {
     for (a, b) in a.iter().zip(b) {
-        let Some(Apart { count, largest, place }) = apart(&a.values, &b.values, a.width) else { continue };
+        let Some(Apart { count, largest, place }) = apart(&a.numbers, &b.numbers, a.width) else { continue };
         let name = a.name;
         lines.push(format!("{part}{name}: {count} Gaussians differ, by at most {largest:e} (Gaussian {place})"));
         let largest = if largest.is_finite() { json!(largest) } else { json!("not finite") };
@@ -216,14 +197,14 @@ mod tests {
         let a = [0.5_f32, 1.0, 2.0, 3.0, 4.0, 5.0];
         let mut b = a;
         b[4] = f32::from_bits(b[4].to_bits() ^ 1);
-        let found = apart(&Values::Floats(&a), &Values::Floats(&b), 3).expect("a difference");
+        let found = apart(&Numbers::Floats(&a), &Numbers::Floats(&b), 3).expect("a difference");
         assert_eq!((found.count, found.place), (1, 1));
-        assert_eq!(apart(&Values::Floats(&a), &Values::Floats(&a), 3), None);
+        assert_eq!(apart(&Numbers::Floats(&a), &Numbers::Floats(&a), 3), None);
         b[0] = f32::NAN;
-        let found = apart(&Values::Floats(&a), &Values::Floats(&b), 3).expect("a difference");
+        let found = apart(&Numbers::Floats(&a), &Numbers::Floats(&b), 3).expect("a difference");
         assert_eq!((found.count, found.largest, found.place), (2, f64::INFINITY, 0));
         // Zeros of either sign have different bits but are equal numbers.
-        let found = apart(&Values::Floats(&[0.0]), &Values::Floats(&[-0.0]), 1).expect("a difference");
+        let found = apart(&Numbers::Floats(&[0.0]), &Numbers::Floats(&[-0.0]), 1).expect("a difference");
         assert_eq!((found.count, found.largest), (1, 0.0));
     }
 }
