@@ -65,10 +65,8 @@ const BIRTH: usize = 4;
 const FRAME: usize = 5;
 /// The first column of the quantised numbers.
 const FIRST: usize = 6;
-/// The columns that are empty where all their differences are 0: those of the change of colour, absent in version 1,
-/// and that of thickness, absent before version 3.
+/// The columns that are empty where all their differences are 0: those of the change of colour and of thickness.
 const RARE: std::ops::Range<usize> = FIRST + RATE_AT..MERGE;
-const THICKNESS: usize = FIRST + THICKNESS_AT;
 const MERGE: usize = 27;
 const MERGE_INTO: usize = 28;
 const _: () = assert!(FIRST + VALUES == MERGE);
@@ -189,9 +187,8 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
     columns
 }
 
-/// Decodes the `count` records and `merges` merges of a chunk of `version`.
+/// Decodes the `count` records and `merges` merges of a chunk.
 pub(super) fn decode(
-    version: u32,
     before: &[Quantised],
     bytes: &[u8],
     count: usize,
@@ -200,16 +197,7 @@ pub(super) fn decode(
     let mut rest = bytes;
     let mut columns = Vec::with_capacity(COLUMNS.len());
     for (at, name) in COLUMNS.into_iter().enumerate() {
-        let stored = match version {
-            1 => !RARE.contains(&at),
-            2 => at != THICKNESS,
-            _ => true,
-        };
-        columns.push(if stored {
-            Values::read(name, if at < MERGE { count } else { merges }, &mut rest)?
-        } else {
-            Values::none(name)
-        });
+        columns.push(Values::read(name, if at < MERGE { count } else { merges }, &mut rest)?);
     }
     let mut written = [true; VALUES];
     for at in RARE {

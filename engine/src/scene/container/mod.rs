@@ -28,12 +28,8 @@ pub use write::ContainerWriter;
 
 /// The first bytes of a container.
 pub const MAGIC: [u8; 8] = *b"ssplat\x1a\n";
-/// The latest version. This program writes it where a scene lists times of frames, otherwise version 3, which is the
-/// same without them. It also reads version 2, in which every record's thickness is 1, and version 1, in which colours
-/// do not change either.
-pub const CONTAINER_VERSION: u32 = 4;
-/// The version of a container without times of frames.
-const WITHOUT_FRAMES: u32 = 3;
+/// The version that this program writes and reads.
+pub const CONTAINER_VERSION: u32 = 1;
 
 /// Every chunk whose number is a multiple of this is independent.
 const ALONE_EVERY: usize = 8;
