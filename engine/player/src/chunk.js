@@ -274,7 +274,7 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
   const buffer = new ArrayBuffer(HEADER + total * (RECORD + 2 + (rateStep > 0 ? 3 : 0)));
   const view = new DataView(buffer);
   view.setUint32(0, 0x7373706b);
-  view.setUint32(4, 3, true);
+  view.setUint32(4, 1, true);
   view.setBigUint64(8, index, true);
   view.setFloat64(16, start, true);
   view.setFloat64(24, end, true);
