@@ -38,7 +38,7 @@ use serde::{Deserialize, Serialize};
 use crate::fit::Placement;
 use crate::output::OutputError;
 #[cfg(feature = "viewer")]
-pub(crate) use container::{COARSENESS, ImageChunks};
+pub(crate) use container::{ImageChunks, coarseness};
 pub use container::{CONTAINER_VERSION, ContainerWriter, MAGIC, intervals_from_container};
 pub use interval::{from_safetensors, to_safetensors};
 pub use join::{Join, Joined};

@@ -62,7 +62,7 @@ impl Column {
 /// A column being read.
 #[derive(Debug)]
 pub(super) struct Values {
-    name: &'static str,
+    pub(super) name: &'static str,
     bytes: Vec<u8>,
     at: usize,
 }

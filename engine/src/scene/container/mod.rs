@@ -1,12 +1,12 @@
 //! A scene as one compressed file (`.ssz`).
 //!
-//! Every number is rounded to a whole number ([`quantise`]) and predicted from data that a reader already has. The
+//! Every number is rounded to a whole number ([`table`]) and predicted from data that a reader already has. The
 //! differences are deflated column by column, one chunk per interval. An index at the end holds the chunks' positions.
 //! So an interval can be read without most others: only those back to the nearest independent chunk (every eighth) are
 //! required. `docs/container.md` describes every byte.
 //!
 //! Identities, births, merges, times and the source's placement are stored exactly; positions and velocities to 2⁻¹⁴
-//! world units, and the rest as precisely as [`quantise`] states. The bytes are a function of the intervals and the
+//! world units, and the rest as precisely as [`table`] states. The bytes are a function of the intervals and the
 //! frame rate alone.
 
 mod chunk;
@@ -16,12 +16,13 @@ mod images;
 mod index;
 mod quantise;
 mod read;
+mod table;
 #[cfg(test)]
 mod tests;
 mod write;
 
 #[cfg(feature = "viewer")]
-pub(crate) use images::{COARSENESS, ImageChunks};
+pub(crate) use images::{ImageChunks, coarseness};
 pub(super) use read::Container;
 pub use read::intervals_from_container;
 pub use write::ContainerWriter;

@@ -7,6 +7,7 @@ use streamsplat_kernels::Level;
 
 use super::chunk::{decode, encode};
 use super::quantise::Quantised;
+use super::table::{LIMIT, LINKS, MERGES, VALUES};
 use super::*;
 use crate::fit::Placement;
 use crate::scene::{Scene, SceneError};
@@ -157,7 +158,7 @@ fn columns_of_rates_and_thickness_of_another_length_are_refused() {
         (full.len(), empty[23].len(), decode(&[], &plain, many, merges).map(|(found, _)| found)),
         (29, 10, Ok(still))
     );
-    for rare in 23..27 {
+    for (k, _) in VALUES.iter().enumerate().filter(|(_, value)| value.rare) {
         // Fewer numbers than records, more, and ones beyond the limit.
         let mut column = super::columns::Column::default();
         (1..many).for_each(|_| column.push_signed(1));
@@ -168,11 +169,18 @@ fn columns_of_rates_and_thickness_of_another_length_are_refused() {
         (0..many).for_each(|_| vast.push_signed(1 << 45));
         for wrong in [fewer, more, vast.stored()] {
             let mut hostile = full.clone();
-            hostile[rare] = wrong;
+            hostile[LINKS.len() + k] = wrong;
             let error = decode(&[], &hostile.concat(), many, merges).expect_err("hostile").to_string();
             assert!(error.contains("_rate: expected") || error.contains("thickness"), "{error}");
         }
     }
+}
+
+#[test]
+fn the_player_reads_the_same_columns() {
+    let player = include_str!("../../../player/src/chunk.js").replace("\" +\n  \"", "");
+    let names: Vec<_> = LINKS.into_iter().chain(VALUES.iter().map(|value| value.name)).chain(MERGES).collect();
+    assert!(player.contains(&format!("\"{}\"", names.join(" "))), "{names:?}");
 }
 
 #[test]
@@ -342,7 +350,7 @@ proptest! {
     #[test]
     fn any_records_come_back(
         records in proptest::collection::vec(
-            (proptest::array::uniform21(-(1_i64 << 40)..1 << 40), 0_u64..6, 0_u64..3, 0_u64..3, 0_u8..6), 0..60,
+            (proptest::collection::vec(-(1_i64 << 40)..1 << 40, VALUES.len()), 0_u64..6, 0_u64..3, 0_u64..3, 0_u8..6), 0..60,
         ),
         split in any::<proptest::sample::Index>(),
         merges in proptest::collection::vec((any::<u64>(), any::<u64>()), 0..5),
@@ -350,11 +358,11 @@ proptest! {
         let all: Vec<Quantised> = records
             .into_iter()
             .map(|(mut values, identity, birth, frame, code)| {
-                for i in [6, 7, 8, 15, 16, 20] {
-                    values[i] = values[i].rem_euclid(4000);
+                for (value, row) in values.iter_mut().zip(&VALUES).filter(|(_, row)| row.range[0] > -LIMIT) {
+                    *value = value.rem_euclid(row.range[1].min(4000));
                 }
                 Quantised {
-                    values,
+                    values: values.try_into().expect("as many as rows"),
                     identity: identity.wrapping_sub(2),
                     birth,
                     frame,
