@@ -114,11 +114,8 @@ function putSum(out, i, low, high, { low: l, high: h }, sign) {
   out[2 * i + 1] = high + sign * h + Math.floor(sum / 2 ** 32);
 }
 
-/** Returns whether a version has a column. */
-const isStored = (version, column) => (version === 1 ? !isRare(column) : version > 2 || column !== FIRST + THICKNESS_AT);
-
 /** Returns the columns of a chunk as bytes; skipped columns are empty. */
-async function columnsOf(chunk, version, counted) {
+async function columnsOf(chunk, counted) {
   const count = counted ?? MOST_GAUSSIANS;
   const view = new DataView(chunk.buffer, chunk.byteOffset, chunk.byteLength);
   const columns = NAMES.map(() => new Uint8Array(0));
@@ -126,7 +123,6 @@ async function columnsOf(chunk, version, counted) {
   let at = 0;
   for (const [column, short] of NAMES.entries()) {
     const name = `column ${short}`;
-    if (!isStored(version, column)) continue;
     const room = chunk.length - at - 8;
     const [whole, stored] = room < 0 ? [0, 0] : [view.getUint32(at, true), view.getUint32(at + 4, true)];
     if (room < stored) throw wrong(name, "its two lengths and as many bytes", `${chunk.length - at} bytes`);
@@ -150,8 +146,8 @@ const NONE = { count: 0 };
  * Returns the records of a chunk, as columns of numbers. `before` are the records of the previous interval, null for an independent one. `count` is
  * the number in the index, or null for a chunk of a page, whose values have other steps (`coarseness`).
  */
-export async function decode(chunk, before, { version = 4, count = null, coarseness = null } = {}) {
-  const bytes = await columnsOf(chunk, version, count);
+export async function decode(chunk, before, { count = null, coarseness = null } = {}) {
+  const bytes = await columnsOf(chunk, count);
   count ??= bytes[KIND].length;
   if (count > MOST_GAUSSIANS) throw wrong("chunk", `at most ${MOST_GAUSSIANS} Gaussians`, count);
   before ??= NONE;
@@ -278,7 +274,7 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
   const buffer = new ArrayBuffer(HEADER + total * (RECORD + 2 + (rateStep > 0 ? 3 : 0)));
   const view = new DataView(buffer);
   view.setUint32(0, 0x7373706b);
-  view.setUint32(4, 3, true);
+  view.setUint32(4, 1, true);
   view.setBigUint64(8, index, true);
   view.setFloat64(16, start, true);
   view.setFloat64(24, end, true);
@@ -339,13 +335,13 @@ export class Chunks {
   /**
    * Returns the packet of the last of some consecutive chunks, { bytes, index, alone, count } each; null if the chunk before them is not available.
    */
-  async take({ place, parts, times, version, coarseness }) {
+  async take({ place, parts, times, coarseness }) {
     let packet = null;
     for (const [k, { bytes, index, alone, count }] of parts.entries()) {
       const i = place + k;
       if (!alone && this.place !== i - 1) return null;
       try {
-        this.records = await decode(bytes, alone ? null : this.records, { version, count, coarseness });
+        this.records = await decode(bytes, alone ? null : this.records, { count, coarseness });
       } catch (e) {
         throw new Error(`interval ${i}: ${e.message}`);
       }

@@ -8,17 +8,17 @@ const [OF_HEADER, OF_TRAILER, OF_INDEX, OF_ENTRY] = [16, 48, 44, 96];
 /** Maximum bytes of an index; maximum number of chunks from one independent chunk to the next. */
 const MOST_INDEX = 2 ** 26;
 const ALONE_EVERY = 8;
-const VERSION = 4;
+const VERSION = 1n;
 /** As in engine/src/formats/limits.rs: bytes in memory per byte of the file, bytes allowed for any file, and bytes of a Gaussian and of a merge. */
 const [RATIO, ALLOWED, OF_GAUSSIAN, OF_MERGE] = [256, 2 ** 24, 110, 16];
 
 const viewed = ({ buffer, byteOffset, byteLength }) => new DataView(buffer, byteOffset, byteLength);
 
-function versionOf(head) {
+/** Throws unless a file begins with the header of a container of this version. */
+function checkHeader(head) {
   if (head.getUint32(0) !== 0x7373706c || head.getUint32(4) !== 0x61741a0a) throw wrong("header", "a container's first bytes", "others");
-  const version = head.getUint32(8, true);
-  if (!(version >= 1 && version <= VERSION) || head.getUint32(12, true)) throw wrong("header", `version 1 to ${VERSION}`, `version ${version}`);
-  return version;
+  const version = head.getBigUint64(8, true);
+  if (version !== VERSION) throw wrong("header", `version ${VERSION}`, `version ${version}`);
 }
 
 /** Returns sizes as in the index, if the content is inside the model's input. */
@@ -44,7 +44,7 @@ function checkFrames(index, at, count, { start, end }, i) {
  */
 export async function readIndex(file, most = MOST_GAUSSIANS) {
   if (file.size < OF_HEADER + OF_TRAILER) throw wrong("container", `at least ${OF_HEADER + OF_TRAILER} bytes`, file.size);
-  const version = versionOf(viewed(await file.read(0, OF_HEADER)));
+  checkHeader(viewed(await file.read(0, OF_HEADER)));
   const trailer = viewed(await file.read(file.size - OF_TRAILER, OF_TRAILER));
   const [place, length] = [0, 8].map((at) => Number(trailer.getBigUint64(at, true)));
   if (place + length !== file.size - OF_TRAILER || length > MOST_INDEX || place < OF_HEADER) {
@@ -57,7 +57,7 @@ export async function readIndex(file, most = MOST_GAUSSIANS) {
   if (!(fps > 0 && fps < Infinity)) throw wrong("index: frames per second", "a number above 0", fps);
   const count = index.getUint32(40, true);
   const listed = length - OF_INDEX - OF_ENTRY * count;
-  if (!count || (version < VERSION ? listed !== 0 : listed < 0)) {
+  if (!count || listed < 0) {
     throw wrong("index", "44 bytes and 96 for each of at least one interval", `${length} for ${count}`);
   }
   const [intervals, chunks] = [[], []];
@@ -76,7 +76,6 @@ export async function readIndex(file, most = MOST_GAUSSIANS) {
     if (back && (back !== chunks[i - 1]?.back + 1 || back >= ALONE_EVERY)) {
       throw wrong(name("chunks back"), "none, or one more than of the interval before, under 8", back);
     }
-    if (times && version < VERSION) throw wrong(name("times of frames"), "none before version 4", times);
     if (8 * times > listed - frames) throw wrong("index: times of frames", "8 bytes for each", `${listed} for ${frames / 8 + times}`);
     checkFrames(index, OF_INDEX + OF_ENTRY * count + frames, times, { start, end }, i);
     [next, frames, gaussians, merges] = [at + bytes, frames + 8 * times, gaussians + its, merges + merged];
@@ -89,5 +88,5 @@ export async function readIndex(file, most = MOST_GAUSSIANS) {
   for (const [what, number, each] of [["Gaussians", gaussians, OF_GAUSSIAN], ["merges", merges, OF_MERGE]]) {
     if (number * each > room) throw wrong("intervals", `at most ${Math.floor(room / each)} ${what} in a file of ${file.size} bytes`, number);
   }
-  return { about: { version, fps, placement, live: false, complete: true, first: 0, intervals }, chunks };
+  return { about: { fps, placement, live: false, complete: true, first: 0, intervals }, chunks };
 }

@@ -28,7 +28,7 @@ export class Packet {
   constructor(buffer) {
     const view = new DataView(buffer);
     const magic = buffer.byteLength >= HEADER ? view.getUint32(0) : 0;
-    if (magic !== 0x7373706b || view.getUint32(4, true) !== 3) throw new Error("not an interval of a version this page reads");
+    if (magic !== 0x7373706b || view.getUint32(4, true) !== 1) throw new Error("not an interval of a version this page reads");
     const count = view.getUint32(32, true);
     this.rateStep = view.getFloat32(88, true);
     const rates = this.rateStep > 0 ? count : 0;

@@ -43,9 +43,9 @@ export class Chunked {
   }
 
   async taken(interval, parts) {
-    const { intervals, coarseness, version } = this.description;
+    const { intervals, coarseness } = this.description;
     const { start, end } = intervals[interval];
-    const question = { kind: "parts", interval, place: interval - parts.length + 1, parts, times: { start, end }, version, coarseness };
+    const question = { kind: "parts", interval, place: interval - parts.length + 1, parts, times: { start, end }, coarseness };
     const { buffer, lost } = await this.helper.ask(question, [...new Set(parts.map(({ bytes }) => bytes.buffer))]);
     if (lost) throw Object.assign(new Error(`interval ${interval}: expected the one before, found none`), { lost });
     return new Packet(buffer);

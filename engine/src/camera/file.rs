@@ -16,7 +16,7 @@
 //! |---|---|---|
 //! | `type` | `canonical` (no other key except `time`), `orthographic`, `pinhole` or `equirectangular` (all directions; it has only a pose) | required |
 //! | `time` | seconds of the video; required in `views`, strictly increasing | – |
-//! | `units` | `square`: unit of every number below, also when absent |  |
+//! | `units` | `square`: the unit of every number below | `square` |
 //! | `position` | the camera's centre in square units (x right, y down, z forward) | `[0, 0, 0]` |
 //! | `rotation` | quaternion (w, x, y, z) that turns the camera's axes (right, down, forward) into scene space | none |
 //! | `look_at`, `up` | instead of `rotation`: the target point, and the image's up direction | `up` = `[0, -1, 0]` |
@@ -30,8 +30,7 @@
 //! A pinhole view has exactly one of the three forms of the lens. Unknown keys are errors.
 //!
 //! Units are those of exported files: half the height of the picture, along every axis (for a still scene: its own
-//! units). The page of `streamsplat view` writes `"units": "square"`. Earlier versions of the page did not, and had x
-//! in half widths; those files are converted on reading.
+//! units).
 
 use serde::Deserialize;
 

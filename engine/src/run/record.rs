@@ -43,7 +43,6 @@ pub struct Record {
     /// Input of the run or rendering.
     pub input: InputRecord,
     /// Renderer of the images.
-    #[serde(default)]
     pub renderer: RendererRecord,
     /// False when the user stopped it; the files written are valid.
     pub complete: bool,
@@ -72,11 +71,10 @@ pub struct Record {
 /// Properties of the program, in addition to its version, that determine output bytes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Build {
-    /// Version of the bit contract ([`crate::BIT_CONTRACT`]); 0 in records without it.
-    #[serde(default)]
+    /// Version of the bit contract ([`crate::BIT_CONTRACT`]).
     pub bit_contract: u32,
     /// The commit that the program was built from; where that is not known, the digest of its file.
-    #[serde(default, rename = "build")]
+    #[serde(rename = "build")]
     pub program: String,
 }
 
@@ -154,7 +152,6 @@ pub struct Counts {
     /// Gaussians left out because one of their numbers was not finite.
     pub dropped: u64,
     /// Parts of turned images that were never filmed.
-    #[serde(default)]
     pub unfilmed: Unfilmed,
 }
 
@@ -211,13 +208,6 @@ pub struct RendererRecord {
     pub adapter: Option<String>,
     /// True if the images are bit-identical on every machine.
     pub bit_contract: bool,
-}
-
-impl Default for RendererRecord {
-    /// The CPU.
-    fn default() -> Self {
-        Self { name: "cpu".into(), adapter: None, bit_contract: true }
-    }
 }
 
 impl std::fmt::Display for RendererRecord {
@@ -443,7 +433,7 @@ mod tests {
             task: Invocation::Render(serde_json::json!({ "view": { "size": "model" }, "fps": 12.5, "emit": null })),
             model: None,
             depth: None,
-            renderer: RendererRecord::default(),
+            renderer: RendererRecord { name: "cpu".into(), adapter: None, bit_contract: true },
             ..record.clone()
         };
         [record, render].map(|record| record.to_json().expect("text"))

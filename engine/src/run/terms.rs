@@ -23,7 +23,6 @@ pub struct Terms {
     /// Digest of the camera's file.
     camera: Option<String>,
     /// Digest of the depth network.
-    #[serde(default)]
     network: Option<String>,
 }
 

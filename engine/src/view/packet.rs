@@ -6,7 +6,7 @@
 //! | header | | |
 //! |---|---|---|
 //! | 0 | 4 bytes | `sspk` |
-//! | 4 | u32 | version, 3 |
+//! | 4 | u32 | version, 1 |
 //! | 8 | u64 | the key frame at the interval's end |
 //! | 16 | f64, f64 | start and end in seconds |
 //! | 32 | u32, u32 | count; zero |
@@ -40,7 +40,7 @@ use crate::stream::{Interval, Record};
 /// The first bytes.
 pub const MAGIC: [u8; 4] = *b"sspk";
 /// The version this program writes, and its page reads.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 1;
 /// Bytes before the records.
 pub const HEADER: usize = 96;
 /// Bytes of a record.

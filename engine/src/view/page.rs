@@ -10,7 +10,7 @@ use super::text::text;
 use crate::output::picture_png;
 use crate::picture::Picture;
 use crate::render::RenderError;
-use crate::scene::{COARSENESS, SceneError};
+use crate::scene::{SceneError, coarseness};
 
 const TEMPLATE: &str = include_str!("page.html");
 /// Placeholders in the template, one per part.
@@ -201,7 +201,7 @@ pub fn write_page<S: Whole>(source: &S, link: &Link, out: &mut dyn Write) -> Res
     };
     let (poster, size) = poster(source)?;
     let mut json = serde_json::to_value(source.describe(0))?;
-    json["coarseness"] = COARSENESS.to_vec().into();
+    json["coarseness"] = coarseness().into();
     // Text inside must not end the element.
     let json = serde_json::to_string(&json)?.replace('<', "\\u003c");
     let image = format!("<img id=\"poster\" alt=\"\" src=\"data:image/png;base64,{}\">\n", STANDARD.encode(poster));

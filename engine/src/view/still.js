@@ -9,7 +9,7 @@ const STILL_ROW = 16;
 class StillPacket {
   constructor(buffer) {
     const view = new DataView(buffer);
-    if (buffer.byteLength < STILL_HEADER || view.getUint32(4, true) !== 2) throw new Error("not a still scene of a version this page reads");
+    if (buffer.byteLength < STILL_HEADER || view.getUint32(4, true) !== 1) throw new Error("not a still scene of a version this page reads");
     const [count, degree] = [view.getUint32(8, true), view.getUint16(12, true)];
     const length = STILL_HEADER + count * (RECORD + degree * STILL_ROW + 4);
     if (degree > 3 || buffer.byteLength !== length) throw new Error("a still scene of the wrong length");

@@ -65,7 +65,7 @@ async function pictures(address) {
 
 /** Colours that change, from both ends of the interval. */
 async function changing() {
-  const source = "fixtures/containers/version-2.ssz";
+  const source = "fixtures/containers/version-1.ssz";
   const view = start(streamsplat, ["view", source, "--port", "0"], "stdout");
   const address = (await view.line).split(" ")[0];
   const pictures = [];

@@ -13,7 +13,7 @@ export function indexOf(bytes) {
   return { place, entries };
 }
 
-/** A container of version 3 repeated for at least the given seconds. Its digests are not recomputed. */
+/** A container that lists no times of frames, repeated for at least the given seconds. Its digests are not recomputed. */
 export function longer(bytes, seconds) {
   const { place, entries } = indexOf(bytes);
   const [start, end] = [entries[0].start, entries[entries.length - 1].end];

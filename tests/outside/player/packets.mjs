@@ -17,7 +17,7 @@ async function packetOf(file, { about, chunks }, taken, i, from) {
     parts.push({ bytes: await file.read(at, bytes), index, alone: back === 0, count: about.intervals[k].gaussians });
   }
   const { start, end } = about.intervals[i];
-  return Buffer.from(await taken.take({ place: from, parts, times: { start, end }, version: about.version }));
+  return Buffer.from(await taken.take({ place: from, parts, times: { start, end } }));
 }
 
 for (const container of containers) {
@@ -38,7 +38,7 @@ for (const container of containers) {
     bytes += rust.length;
   }
   check((await new Chunks().take({ place: 1, parts: [{ alone: false }] })) === null, "a chunk without the one before is not taken");
-  console.log(`${container.split("/").pop()} (version ${index.about.version}): ${index.chunks.length} packets, ${bytes} bytes as Rust makes them`);
+  console.log(`${container.split("/").pop()}: ${index.chunks.length} packets, ${bytes} bytes as Rust makes them`);
   view.child.kill("SIGINT");
   await view.ended;
 }
@@ -68,7 +68,7 @@ for (const [chunk, number, expected] of [
 ]) {
   const times = about.intervals[0];
   const parts = [{ bytes: new Uint8Array(chunk), index: 0n, alone: true, count: number }];
-  const found = await new Chunks().take({ place: 0, parts, times, version: about.version }).then(
+  const found = await new Chunks().take({ place: 0, parts, times }).then(
     () => "a packet",
     (e) => e.message,
   );
@@ -93,7 +93,7 @@ const columns = Array.from({ length: 29 }, (_, column) => {
   [values.length, deflated.length].forEach((length, k) => lengths.writeUInt32LE(length, 4 * k));
   return Buffer.concat([lengths, deflated]);
 });
-const wide = await decode(Buffer.concat(columns), null, { version: 3, count: 200 });
+const wide = await decode(Buffer.concat(columns), null, { count: 200 });
 const at64 = (words, i) => (BigInt(words[2 * i + 1]) << 32n) | BigInt(words[2 * i]);
 let [expected, frame] = [0n, 0n];
 for (let i = 0; i < 200; i++) {

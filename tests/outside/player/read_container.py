@@ -91,8 +91,7 @@ class Container:
         size = self.file.seek(0, 2)
         expect(size >= 64, 'container', 'at least 64 bytes', size)
         header = self.read(0, 16)
-        self.version, zero = struct.unpack('<2I', header[8:])
-        expect(header[:8] == b'ssplat\x1a\n' and 1 <= self.version <= 4 and zero == 0, 'header', 'a container of version 1 to 4', header)
+        expect(header == b'ssplat\x1a\n\1' + bytes(7), 'header', 'a container of version 1', header)
         at, length, digest = struct.unpack('<2Q32s', self.read(size - 48, 48))
         expect(at + length == size - 48 and at >= 16 and 44 <= length < 1 << 26, 'trailer', 'an index that ends where it begins', (at, length))
         index = self.read(at, length)
@@ -125,9 +124,6 @@ class Container:
         chunk = self.read(entry['at'], entry['bytes'])
         expect(blake3(chunk) == entry['blake3'], f'interval {i}', "the index's digest", 'another')
         for name in NAMES:
-            columns[name] = b''
-            if (name in RATES and self.version < 2) or (name == THICKNESS and self.version < 3):
-                continue
             expect(len(chunk) >= 8, name, 'two lengths', len(chunk))
             whole, stored = struct.unpack_from('<2I', chunk)
             expect(whole <= min(1032 * stored, 1 << 28) and stored <= len(chunk) - 8, name, 'lengths that are possible', (whole, stored))

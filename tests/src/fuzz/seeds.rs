@@ -463,7 +463,7 @@ pub(super) fn container() -> Vec<Vec<u8>> {
     for (k, bytes) in interval().iter().enumerate() {
         let mut interval = from_safetensors(bytes, placement).expect("a seed");
         (interval.start, interval.end) = (k as f64, k as f64 + 1.0);
-        writer.push(&interval, &workers).expect("writable");
+        writer.push_with(&interval, &[k as f64 + 0.1], &workers).expect("writable");
         (interval.start, interval.end) = (k as f64 + 1.0, k as f64 + 1.0);
         writer.push(&interval, &workers).expect("writable");
     }

@@ -32,7 +32,7 @@ fn every_command_reads_a_container_and_its_bytes_do_not_depend_on_threads() {
     ok(command().arg("inspect").arg(&container).arg("--json").arg(scratch.path("found.json")));
     let found = json(&scratch.path("found.json"));
     assert_eq!((&found["kind"], &found["intervals"]), (&"scene".into(), &3.into()));
-    assert_eq!(found["format"], "streamsplat-scene-container version 3");
+    assert_eq!(found["format"], "streamsplat-scene-container version 1");
 
     let (raw, small) = (scratch.path("raw"), scratch.path("small"));
     for (scene, out) in [(&scene, &raw), (&container, &small)] {

@@ -165,7 +165,7 @@ fn container(intervals: usize, count: u32) -> Vec<u8> {
     };
     let (full, empty) = (column(count), column(0));
     let chunk: Vec<u8> = (0..29).flat_map(|k| if k == 1 || k > 22 { &empty } else { &full }).copied().collect();
-    let header = [&b"ssplat\x1a\n"[..], &3_u32.to_le_bytes(), &[0; 4]].concat();
+    let header = [&b"ssplat\x1a\n"[..], &1_u64.to_le_bytes()].concat();
     let mut index = 25_f64.to_le_bytes().to_vec();
     index.extend([64_u32, 64, 64, 64, 0, 0, 64, 64, intervals as u32].iter().flat_map(|side| side.to_le_bytes()));
     let mut file = header.clone();

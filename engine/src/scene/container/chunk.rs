@@ -2,20 +2,17 @@
 //!
 //! A record is of one of three kinds:
 //!
-//! - *carried*: the interval before holds a record of the same identity, key frame and birth, which predicts mean,
-//!   offset, opacity, scale, thickness and colour;
-//! - *following*: an earlier record of this interval has the same identity and birth. The position of its tracked point
-//!   at the interval's end predicts this one's; everything else is predicted as for a fresh one;
-//! - *fresh*: the last record that is not carried predicts mean, opacity, scale, thickness and colour (zeros before the
-//!   first). The offset is predicted as 0. The identity is expected to be the last fresh one's plus one, the birth the
-//!   key frame.
+//! - *carried*: the interval before holds a record of the same identity, key frame and birth, which is linked;
+//! - *following*: an earlier record of this interval has the same identity and birth, and is linked. The position of
+//!   its tracked point at the interval's end predicts this one's; everything else is predicted as for a fresh one;
+//! - *fresh*: the identity is expected to be the last fresh one's plus one, the birth the key frame.
 //!
-//! Velocity, γ and change of colour are predicted by the last record of any kind, the key frame by the last one that is
-//! not carried.
+//! [`VALUES`] names what predicts each value ([`By`]); the last record that is not carried predicts the key frame.
 
 use super::MOST;
 use super::columns::{Column, Values};
-use super::quantise::{COLOUR_AT, GAMMA, LIMIT, MEAN, OFFSET, Quantised, RATE_AT, THICKNESS_AT, VALUES, VELOCITY};
+use super::quantise::Quantised;
+use super::table::{By, LIMIT, LINKS, MEAN, MERGES, OFFSET, VALUES};
 use crate::formats::FormatError;
 use crate::stream::{Handover, Merge, Reference};
 use std::collections::BTreeMap;
@@ -25,53 +22,17 @@ const FRESH: u64 = 0;
 const CARRIED: u64 = 1;
 const FOLLOWING: u64 = 2;
 
-/// The columns, in storage order.
-pub(super) const COLUMNS: [&str; 29] = [
-    "kind",
-    "link",
-    "code",
-    "identity",
-    "birth",
-    "frame",
-    "mean_x",
-    "mean_y",
-    "mean_z",
-    "offset_x",
-    "offset_y",
-    "offset_z",
-    "opacity",
-    "scale_x",
-    "scale_z",
-    "green",
-    "red",
-    "blue",
-    "velocity_x",
-    "velocity_y",
-    "velocity_z",
-    "gamma_0",
-    "gamma_1",
-    "green_rate",
-    "red_rate",
-    "blue_rate",
-    "thickness",
-    "merge",
-    "merge_into",
-];
+// Places of columns: those of LINKS, those of values, those of MERGES.
 const KIND: usize = 0;
 const LINK: usize = 1;
 const CODE: usize = 2;
 const IDENTITY: usize = 3;
 const BIRTH: usize = 4;
 const FRAME: usize = 5;
-/// The first column of the quantised numbers.
-const FIRST: usize = 6;
-/// The columns that are empty where all their differences are 0: those of the change of colour, absent in version 1,
-/// and that of thickness, absent before version 3.
-const RARE: std::ops::Range<usize> = FIRST + RATE_AT..MERGE;
-const THICKNESS: usize = FIRST + THICKNESS_AT;
-const MERGE: usize = 27;
-const MERGE_INTO: usize = 28;
-const _: () = assert!(FIRST + VALUES == MERGE);
+const FIRST: usize = LINKS.len();
+const MERGE: usize = FIRST + VALUES.len();
+const MERGE_INTO: usize = MERGE + 1;
+const COLUMNS: usize = MERGE + MERGES.len();
 
 /// State of the predictions, which writer and reader derive from the records before.
 #[derive(Default)]
@@ -88,13 +49,13 @@ struct Predictor {
 
 impl Predictor {
     /// The prediction of the quantised numbers, from the linked record.
-    fn prediction(&self, kind: u64, linked: &Quantised) -> [i64; VALUES] {
-        let mut p = if kind == CARRIED { linked.values } else { self.own.values };
-        p[VELOCITY..THICKNESS_AT].copy_from_slice(&self.last.values[VELOCITY..THICKNESS_AT]);
-        if kind != CARRIED {
-            p[OFFSET..OFFSET + 3].fill(0);
-        }
-        p
+    fn prediction(&self, kind: u64, linked: &Quantised) -> [i64; VALUES.len()] {
+        std::array::from_fn(|k| match VALUES[k].by {
+            By::Last => self.last.values[k],
+            By::Link | By::Track if kind == CARRIED => linked.values[k],
+            By::Link => self.own.values[k],
+            By::Track => 0,
+        })
     }
 
     /// Updates the state after a record of a kind.
@@ -132,8 +93,8 @@ fn stored(columns: &[Column]) -> Vec<u8> {
     streamsplat_kernels::parallel::map_indexed(columns.len(), |i| columns[i].stored()).concat()
 }
 
-fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Column; COLUMNS.len()] {
-    let mut columns: [Column; COLUMNS.len()] = std::array::from_fn(|_| Column::default());
+fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Column; COLUMNS] {
+    let mut columns: [Column; COLUMNS] = std::array::from_fn(|_| Column::default());
     let carried: BTreeMap<(u64, u64), usize> =
         before.iter().enumerate().map(|(i, r)| ((r.identity, r.frame), i)).collect();
     let mut seen: BTreeMap<u64, usize> = BTreeMap::new();
@@ -181,40 +142,27 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
         columns[MERGE_INTO].push_signed(merge.into.wrapping_sub(last[1]).cast_signed());
         last = [merge.identity, merge.into];
     }
-    for column in &mut columns[RARE] {
-        if column.is_zero() {
+    for (column, value) in columns[FIRST..MERGE].iter_mut().zip(&VALUES) {
+        if value.rare && column.is_zero() {
             *column = Column::default();
         }
     }
     columns
 }
 
-/// Decodes the `count` records and `merges` merges of a chunk of `version`.
+/// Decodes the `count` records and `merges` merges of a chunk.
 pub(super) fn decode(
-    version: u32,
     before: &[Quantised],
     bytes: &[u8],
     count: usize,
     merges: usize,
 ) -> Result<(Vec<Quantised>, Vec<Merge>), FormatError> {
     let mut rest = bytes;
-    let mut columns = Vec::with_capacity(COLUMNS.len());
-    for (at, name) in COLUMNS.into_iter().enumerate() {
-        let stored = match version {
-            1 => !RARE.contains(&at),
-            2 => at != THICKNESS,
-            _ => true,
-        };
-        columns.push(if stored {
-            Values::read(name, if at < MERGE { count } else { merges }, &mut rest)?
-        } else {
-            Values::none(name)
-        });
+    let mut columns = Vec::with_capacity(COLUMNS);
+    for (at, name) in LINKS.into_iter().chain(VALUES.iter().map(|value| value.name)).chain(MERGES).enumerate() {
+        columns.push(Values::read(name, if at < MERGE { count } else { merges }, &mut rest)?);
     }
-    let mut written = [true; VALUES];
-    for at in RARE {
-        written[at - FIRST] = columns[at].remaining() > 0;
-    }
+    let written = std::array::from_fn(|k| !VALUES[k].rare || columns[FIRST + k].remaining() > 0);
     if !rest.is_empty() {
         return Err(FormatError::new("chunk", "its end after the last column", format!("{} more bytes", rest.len())));
     }
@@ -223,7 +171,7 @@ pub(super) fn decode(
         let found = columns[column].remaining();
         if found < expected || expected > MOST {
             let what = format!("{expected} values, of at most {MOST}");
-            return Err(FormatError::new(format!("column {}", COLUMNS[column]), what, format!("{found} bytes")));
+            return Err(FormatError::new(format!("column {}", columns[column].name), what, format!("{found} bytes")));
         }
     }
     let mut records: Vec<Quantised> = Vec::with_capacity(count);
@@ -246,7 +194,7 @@ pub(super) fn decode(
 /// Reads the next record; `written`: which of its quantised numbers have a column.
 fn next(
     columns: &mut [Values],
-    written: &[bool; VALUES],
+    written: &[bool; VALUES.len()],
     before: &[Quantised],
     records: &[Quantised],
     predictor: &mut Predictor,
@@ -287,27 +235,21 @@ fn next(
         }
     }
     let mut prediction = predictor.prediction(kind, &linked);
-    for k in 0..VALUES {
+    for (k, value) in VALUES.iter().enumerate() {
         if k == OFFSET && kind == FOLLOWING {
             let offset = following_offset(&linked, &record.values[MEAN..MEAN + 3]);
             prediction[OFFSET..OFFSET + 3].copy_from_slice(&offset);
         }
         let difference = if written[k] { columns[FIRST + k].next_signed()? } else { 0 };
-        record.values[k] = prediction[k].wrapping_add(difference);
+        let found = prediction[k].wrapping_add(difference);
         // Checked before it is added to others: sums of a few stay far from overflow.
-        if record.values[k].unsigned_abs() > LIMIT.unsigned_abs() {
-            return Err(FormatError::new(
-                format!("column {}", COLUMNS[FIRST + k]),
-                "magnitudes up to 2^46",
-                "a larger one",
-            ));
+        let [least, most] = value.range;
+        if !(least..=most).contains(&found) {
+            let expected = format!("whole numbers from {least} to {most}");
+            return Err(FormatError::new(format!("column {}", value.name), expected, found.to_string()));
         }
-    }
-    if !record.is_allowed() {
-        return Err(FormatError::new("record", "opacity, scale, thickness and gamma in their ranges", "others"));
+        record.values[k] = found;
     }
     predictor.remember(kind, &record);
     Ok(record)
 }
-
-const _: () = assert!(COLOUR_AT + 3 == VELOCITY && GAMMA + 2 == RATE_AT && RATE_AT + 3 == THICKNESS_AT);

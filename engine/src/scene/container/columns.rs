@@ -62,17 +62,12 @@ impl Column {
 /// A column being read.
 #[derive(Debug)]
 pub(super) struct Values {
-    name: &'static str,
+    pub(super) name: &'static str,
     bytes: Vec<u8>,
     at: usize,
 }
 
 impl Values {
-    /// A column without numbers.
-    pub(super) fn none(name: &'static str) -> Values {
-        Values { name, bytes: Vec::new(), at: 0 }
-    }
-
     /// Reads the column of at most `most` numbers at the start of `rest`, and moves `rest` past it.
     pub(super) fn read(name: &'static str, most: usize, rest: &mut &[u8]) -> Result<Values, FormatError> {
         let wrong = |expected: &str, found: String| FormatError::new(format!("column {name}"), expected, found);

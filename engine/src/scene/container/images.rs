@@ -2,14 +2,14 @@
 
 use super::ALONE_EVERY;
 use super::chunk::encode_for_images;
-use super::quantise::{OFFSET, Quantised, VALUES};
+use super::quantise::Quantised;
+use super::table::{By, VALUES, Value};
 use crate::stream::{Interval, Workers};
 
-/// Steps of a container's whole numbers per step of a page's, in the order of the columns from `mean_x` on. A page's
-/// steps are a sixteenth of a pixel of 512×288 along x and z, a 512th of inverse depth, a sixteenth of an opacity, a
-/// quarter of an octave of scale and thickness, a 64th of a colour.
-pub(crate) const COARSENESS: [i64; VALUES] =
-    [8, 16, 16, 1, 1, 1, 64, 16, 16, 8, 12, 12, 16, 16, 16, 1, 1, 24, 32, 32, 16];
+/// Steps of a container's whole numbers per step of a page's, in the order of the columns from `mean_x` on.
+pub(crate) fn coarseness() -> Vec<i64> {
+    VALUES.iter().map(|value| value.coarseness).collect()
+}
 
 /// Chunks of intervals one after another.
 #[derive(Debug, Default)]
@@ -34,10 +34,9 @@ impl ImageChunks {
 
 /// In a page's steps, rounded half up.
 fn coarser(mut record: Quantised) -> Quantised {
-    for (value, step) in record.values.iter_mut().zip(COARSENESS) {
-        *value = (2 * *value + step).div_euclid(2 * step);
+    for (value, Value { coarseness, by, .. }) in record.values.iter_mut().zip(&VALUES) {
+        // Tracked points, which no column holds, must not predict anything.
+        *value = if let By::Track = by { 0 } else { (2 * *value + coarseness).div_euclid(2 * coarseness) };
     }
-    // Tracked points, which no column holds, must not predict anything.
-    record.values[OFFSET..OFFSET + 3].fill(0);
     record
 }

@@ -1,6 +1,6 @@
 //! The index: position and properties of each interval's chunk.
 
-use super::{ALONE_EVERY, CONTAINER_VERSION, MAGIC, MOST, WITHOUT_FRAMES};
+use super::{ALONE_EVERY, CONTAINER_VERSION, MAGIC, MOST};
 use crate::formats::FormatError;
 use crate::scene::PlacementRecord;
 use crate::scene::frames::check;
@@ -14,28 +14,24 @@ const BEFORE_ENTRIES: usize = 44;
 /// Bytes of an entry.
 const ENTRY: usize = 96;
 
-/// The first bytes of a container of this `version`.
-pub(super) fn header(version: u32) -> [u8; HEADER] {
+/// The first bytes of a container.
+pub(super) fn header() -> [u8; HEADER] {
     let mut out = [0; HEADER];
     out[..8].copy_from_slice(&MAGIC);
-    out[8..12].copy_from_slice(&version.to_le_bytes());
+    out[8..12].copy_from_slice(&CONTAINER_VERSION.to_le_bytes());
     out
 }
 
-/// The version of a container with this header.
-///
-/// # Errors
-/// Bytes that are not the header of a container, or of one whose version this program does not read.
-pub(super) fn version(bytes: &[u8]) -> Result<u32, FormatError> {
-    let wrong = |expected: String, found: String| Err(FormatError::new("header", expected, found));
-    if bytes.len() < HEADER || bytes[..8] != MAGIC {
-        return wrong("a container's first bytes".into(), "others".into());
+/// Returns an error unless `bytes` begin with the header of a container of this version.
+pub(super) fn check_header(bytes: &[u8]) -> Result<(), FormatError> {
+    if bytes.starts_with(&header()) {
+        return Ok(());
     }
-    match bytes[8..12].first_chunk().map(|b| u32::from_le_bytes(*b)) {
-        Some(version @ 1..=CONTAINER_VERSION) if bytes[12..HEADER] == [0; 4] => Ok(version),
-        version => {
-            wrong(format!("version 1 to {CONTAINER_VERSION}"), format!("version {}", version.unwrap_or_default()))
+    match bytes.strip_prefix(&MAGIC).and_then(|rest| rest.first_chunk()).map(|b| u64::from_le_bytes(*b)) {
+        Some(version) => {
+            Err(FormatError::new("header", format!("version {CONTAINER_VERSION}"), format!("version {version}")))
         }
+        None => Err(FormatError::new("header", "a container's first bytes", "others")),
     }
 }
 
@@ -53,7 +49,7 @@ pub(super) struct Entry {
     /// Number of chunks back to the last independent one.
     pub(super) back: usize,
     pub(super) blake3: [u8; 32],
-    /// Times of the source's frames in it, if they are listed.
+    /// Times of the source's frames in it; none if they follow from the rate.
     pub(super) frames: Vec<f64>,
 }
 
@@ -66,11 +62,6 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// The version of a container with this index.
-    pub(super) fn version(&self) -> u32 {
-        if self.entries.iter().any(|e| !e.frames.is_empty()) { CONTAINER_VERSION } else { WITHOUT_FRAMES }
-    }
-
     /// The index as bytes.
     pub(super) fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(BEFORE_ENTRIES + ENTRY * self.entries.len());
@@ -92,8 +83,8 @@ impl Table {
         out
     }
 
-    /// Reads the index of a container of this `version` whose chunks end at `end`.
-    pub(super) fn from_bytes(version: u32, bytes: &[u8], end: u64) -> Result<Table, FormatError> {
+    /// Reads the index of a container whose chunks end at `end`.
+    pub(super) fn from_bytes(bytes: &[u8], end: u64) -> Result<Table, FormatError> {
         let wrong = |what: String, expected: &str, found: String| Err(FormatError::new(what, expected, found));
         let mut fields = Fields(bytes);
         let short = || FormatError::new("index", "44 bytes and 96 for each interval", format!("{} bytes", bytes.len()));
@@ -111,20 +102,19 @@ impl Table {
             return wrong("index: frames per second".into(), "a number above 0", fps.to_string());
         }
         let count = fields.half().ok_or_else(short)? as usize;
-        let entries_end = BEFORE_ENTRIES.saturating_add(ENTRY.saturating_mul(count));
-        let fits = if version > WITHOUT_FRAMES { bytes.len() >= entries_end } else { bytes.len() == entries_end };
-        if !fits || count == 0 {
+        let after = BEFORE_ENTRIES.saturating_add(ENTRY.saturating_mul(count));
+        let Some(times) = bytes.get(after..).filter(|_| count > 0) else {
             return wrong(
                 "index".into(),
                 "44 bytes and 96 for each of at least one interval",
                 format!("{} for {count}", bytes.len()),
             );
-        }
+        };
+        let (mut rest, mut listed) = (Fields(times), 0_usize);
         let mut entries: Vec<Entry> = Vec::with_capacity(count);
-        let mut listed = Vec::with_capacity(count);
         let mut next = HEADER as u64;
         for i in 0..count {
-            let (entry, frames) = fields.entry().ok_or_else(short)?;
+            let (mut entry, frames) = fields.entry().ok_or_else(short)?;
             let name = |what: &str| format!("index: interval {i}: {what}");
             let after = entry.at.checked_add(entry.bytes).filter(|after| *after <= end);
             if entry.at != next || after.is_none() {
@@ -155,20 +145,14 @@ impl Table {
                     entry.back.to_string(),
                 );
             }
-            if version <= WITHOUT_FRAMES && frames != 0 {
-                return wrong(name("times of frames"), "none before version 4", frames.to_string());
-            }
-            listed.push(frames);
-            entries.push(entry);
-        }
-        let all: usize = listed.iter().sum();
-        if fields.0.len() != all.saturating_mul(8) {
-            return wrong("index: times of frames".into(), "8 bytes for each", format!("{} for {all}", fields.0.len()));
-        }
-        for (i, (entry, count)) in entries.iter_mut().zip(listed).enumerate() {
-            entry.frames = (0..count).map_while(|_| fields.word().map(f64::from_bits)).collect();
+            entry.frames = (0..frames).map_while(|_| rest.word().map(f64::from_bits)).collect();
             check(&entry.frames, entry.start, entry.end)
                 .map_err(|cause| FormatError::new(format!("index: interval {i}"), "times of frames in order", cause))?;
+            listed += frames;
+            entries.push(entry);
+        }
+        if times.len() != listed.saturating_mul(8) {
+            return wrong("index: times of frames".into(), "8 bytes for each", format!("{} for {listed}", times.len()));
         }
         if next != end {
             return wrong("index".into(), "chunks up to the index", format!("their end at {next} of {end}"));

@@ -5,10 +5,10 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-use super::MAGIC;
 use super::chunk::decode;
-use super::index::{Entry, HEADER, TRAILER, Table, version};
+use super::index::{Entry, HEADER, TRAILER, Table, check_header};
 use super::quantise::Quantised;
+use super::{CONTAINER_VERSION, MAGIC};
 use crate::fit::Placement;
 use crate::formats::{FormatError, Limits};
 use crate::scene::read::{MERGE, RECORD};
@@ -22,7 +22,6 @@ const MAX_INDEX: u64 = 1 << 26;
 #[derive(Clone, Debug)]
 pub(in crate::scene) struct Container {
     path: PathBuf,
-    version: u32,
     entries: Vec<Entry>,
     /// The interval that was read last, required by the one after it.
     last: Arc<Mutex<Option<(usize, Vec<Quantised>)>>>,
@@ -46,7 +45,7 @@ impl Container {
         }
         let mut header = [0; HEADER];
         file.read_exact(&mut header).map_err(read)?;
-        let version = version(&header).map_err(broken)?;
+        check_header(&header).map_err(broken)?;
         let trailer_at = size - TRAILER as u64;
         let mut trailer = [0; TRAILER];
         file.seek(SeekFrom::Start(trailer_at)).and_then(|_| file.read_exact(&mut trailer)).map_err(read)?;
@@ -56,7 +55,7 @@ impl Container {
         if blake3::hash(&[&header[..], &index].concat()).as_bytes()[..] != trailer[16..] {
             return Err(broken(FormatError::new("index", "the digest that the trailer says", "another")));
         }
-        let table = Table::from_bytes(version, &index, at).map_err(broken)?;
+        let table = Table::from_bytes(&index, at).map_err(broken)?;
         table.check(size, limits).map_err(broken)?;
         let intervals = table.entries.iter().enumerate().map(|(i, e)| IntervalEntry {
             file: i.to_string(),
@@ -69,12 +68,12 @@ impl Container {
         });
         let index = Index {
             format: format!("{FORMAT}-container"),
-            version,
+            version: CONTAINER_VERSION,
             fps: table.fps,
             placement: table.placement,
             intervals: intervals.collect(),
         };
-        Ok((Container { path: path.to_owned(), version, entries: table.entries, last: Arc::default() }, index))
+        Ok((Container { path: path.to_owned(), entries: table.entries, last: Arc::default() }, index))
     }
 
     /// Reads interval `i`, and the ones before it that its coding requires, starting from the last one read if
@@ -109,7 +108,7 @@ impl Container {
         if *blake3::hash(&bytes).as_bytes() != entry.blake3 {
             return Err(broken("expected the digest that the index says, found another".into()));
         }
-        decode(self.version, before, &bytes, entry.gaussians, entry.merges).map_err(|e| broken(e.to_string()))
+        decode(before, &bytes, entry.gaussians, entry.merges).map_err(|e| broken(e.to_string()))
     }
 }
 
@@ -130,10 +129,10 @@ fn locate(trailer: &[u8], size: u64) -> Result<(u64, u64), FormatError> {
 /// Expected and found values.
 pub fn intervals_from_container(bytes: &[u8]) -> Result<Vec<Interval>, FormatError> {
     let size = bytes.len();
-    let version = version(bytes)?;
+    check_header(bytes)?;
     let (at, length) =
         locate(size.checked_sub(TRAILER).and_then(|from| bytes.get(from..)).unwrap_or(&[0; 16]), size as u64)?;
-    let table = Table::from_bytes(version, &bytes[at as usize..(at + length) as usize], at)?;
+    let table = Table::from_bytes(&bytes[at as usize..(at + length) as usize], at)?;
     table.check(size as u64, &Limits::default())?;
     let placement = table.placement.placement().ok_or_else(|| FormatError::new("index", "a placement", "none"))?;
     let mut before = Vec::new();
@@ -141,7 +140,7 @@ pub fn intervals_from_container(bytes: &[u8]) -> Result<Vec<Interval>, FormatErr
     for entry in &table.entries {
         let known: &[Quantised] = if entry.back == 0 { &[] } else { &before };
         let chunk = &bytes[entry.at as usize..(entry.at + entry.bytes) as usize];
-        let (records, merges) = decode(version, known, chunk, entry.gaussians, entry.merges)?;
+        let (records, merges) = decode(known, chunk, entry.gaussians, entry.merges)?;
         intervals.push(entry.interval(&records, merges, placement));
         before = records;
     }

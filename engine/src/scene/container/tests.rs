@@ -7,6 +7,7 @@ use streamsplat_kernels::Level;
 
 use super::chunk::{decode, encode};
 use super::quantise::Quantised;
+use super::table::{LIMIT, LINKS, MERGES, VALUES};
 use super::*;
 use crate::fit::Placement;
 use crate::scene::{Scene, SceneError};
@@ -119,33 +120,18 @@ fn intervals_come_back_in_any_order_as_closely_as_is_said() {
 }
 
 #[test]
-fn a_container_of_version_1_is_read_as_it_was() {
-    let path = streamsplat_fixtures::path("containers/version-1.ssz");
-    let scene = Scene::open(&path).expect("a container");
-    assert_eq!((scene.index().version, scene.index().intervals.len()), (1, 2));
-    for (i, count) in [(1, 1920), (0, 960)] {
-        let interval = scene.interval(i).expect("sound");
-        assert_eq!((interval.gaussians.len(), interval.dropped), (count, 0));
-        assert!(interval.gaussians.rgb_rate.iter().all(|rate| *rate == [0.0; 3]));
-        assert!(interval.gaussians.thickness.iter().all(|thickness| *thickness == 1.0));
-    }
-    let bytes = std::fs::read(&path).expect("readable");
-    let intervals = intervals_from_container(&bytes).expect("sound");
-    // The export of the program that wrote it.
-    let snapshot = crate::stream::Snapshot::of(&intervals[1], 0.02, &workers(1)).expect("inside");
-    let digest = blake3::hash(&crate::formats::ply::write(&crate::still::Still::of(&snapshot)).bytes).to_hex();
-    assert_eq!(digest.as_str(), "6698c4d4cec34629b96221bcd90d85bc07e801dcd367fd30a83886b8b2880eed");
-    // Written again it is of version 3 with the same records, and four empty columns more in each chunk.
+fn another_version_is_refused() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let anew = written(&folder.path().join("scene.ssz"), &intervals);
-    assert_eq!(anew.len(), bytes.len() + 2 * 4 * 10);
-    let again = intervals_from_container(&anew).expect("just written");
-    assert!(again.iter().zip(&intervals).all(|(a, b)| a.gaussians == b.gaussians && a.merges == b.merges));
-    // Chunks under another version's header are refused, and so are unknown versions.
-    for (bytes, version) in [(&bytes, 2), (&bytes, 3), (&anew, 1), (&anew, 2), (&bytes, 0), (&bytes, 4)] {
+    let path = folder.path().join("scene.ssz");
+    let bytes = written(&path, &intervals(2));
+    for version in [0, 2, 3, 255] {
         let mut other = bytes.clone();
         other[8] = version;
-        assert!(intervals_from_container(&other).is_err(), "{version}");
+        std::fs::write(&path, &other).expect("writable");
+        let expected = format!("header: expected version 1, found version {version}");
+        let found = Scene::open(&path).expect_err("another version").to_string();
+        assert!(found.ends_with(&expected), "{found}");
+        assert_eq!(intervals_from_container(&other).expect_err("another version").to_string(), expected);
     }
 }
 
@@ -169,10 +155,10 @@ fn columns_of_rates_and_thickness_of_another_length_are_refused() {
     let (full, empty) = (columns(&bytes), columns(&plain));
     let (many, merges) = (records.len(), interval.merges.len());
     assert_eq!(
-        (full.len(), empty[23].len(), decode(CONTAINER_VERSION, &[], &plain, many, merges).map(|(found, _)| found)),
+        (full.len(), empty[23].len(), decode(&[], &plain, many, merges).map(|(found, _)| found)),
         (29, 10, Ok(still))
     );
-    for rare in 23..27 {
+    for (k, _) in VALUES.iter().enumerate().filter(|(_, value)| value.rare) {
         // Fewer numbers than records, more, and ones beyond the limit.
         let mut column = super::columns::Column::default();
         (1..many).for_each(|_| column.push_signed(1));
@@ -183,12 +169,18 @@ fn columns_of_rates_and_thickness_of_another_length_are_refused() {
         (0..many).for_each(|_| vast.push_signed(1 << 45));
         for wrong in [fewer, more, vast.stored()] {
             let mut hostile = full.clone();
-            hostile[rare] = wrong;
-            let error =
-                decode(CONTAINER_VERSION, &[], &hostile.concat(), many, merges).expect_err("hostile").to_string();
+            hostile[LINKS.len() + k] = wrong;
+            let error = decode(&[], &hostile.concat(), many, merges).expect_err("hostile").to_string();
             assert!(error.contains("_rate: expected") || error.contains("thickness"), "{error}");
         }
     }
+}
+
+#[test]
+fn the_player_reads_the_same_columns() {
+    let player = include_str!("../../../player/src/chunk.js").replace("\" +\n  \"", "");
+    let names: Vec<_> = LINKS.into_iter().chain(VALUES.iter().map(|value| value.name)).chain(MERGES).collect();
+    assert!(player.contains(&format!("\"{}\"", names.join(" "))), "{names:?}");
 }
 
 #[test]
@@ -280,7 +272,7 @@ fn a_hostile_index_is_refused_though_its_digest_is_right() {
         (0, &f64::NAN.to_le_bytes()[..], "frames per second"),
         (8, &0_u32.to_le_bytes(), "placement"),
         (40, &u32::MAX.to_le_bytes(), "44 bytes and 96"),
-        (40, &1_u32.to_le_bytes(), "44 bytes and 96"),
+        (40, &1_u32.to_le_bytes(), "times of frames: expected 8 bytes for each, found 96 for 0"),
         (entry, &0_u64.to_le_bytes(), "interval 1: place"),
         (entry + 8, &u64::MAX.to_le_bytes(), "interval 1: place"),
         (entry + 16, &(-1.0_f64).to_le_bytes(), "interval 1: times"),
@@ -322,12 +314,12 @@ fn what_does_not_belong_in_one_container_is_refused_and_nothing_left() {
 }
 
 #[test]
-fn times_of_frames_come_back_in_a_file_of_version_4() {
+fn times_of_frames_come_back() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ssz");
     let intervals = intervals(3);
     let even = written(&path, &intervals);
-    assert_eq!(even[8], 3);
+    assert!(!Scene::open(&path).expect("just written").index().is_uneven());
     let frames: [&[f64]; 3] = [&[0.0], &[0.1, 1.0 / 7.0], &[2.0 / 7.0]];
     let mut writer = ContainerWriter::create(&path, 9.0).expect("writable");
     for (interval, frames) in intervals.iter().zip(frames) {
@@ -335,19 +327,20 @@ fn times_of_frames_come_back_in_a_file_of_version_4() {
     }
     let written = writer.finish().expect("writable").expect("intervals");
     let bytes = std::fs::read(&path).expect("readable");
-    assert_eq!((written, bytes[8]), (crate::output::Written::of(&bytes), 4));
+    assert_eq!(written, crate::output::Written::of(&bytes));
     let scene = Scene::open(&path).expect("just written");
     assert_eq!(scene.index().frames(), Some(frames.concat()));
     assert!(scene.index().is_uneven());
     // Chunks are the same; there are three times of frames more, where the first follows from the rate.
     assert_eq!(bytes.len(), even.len() + 3 * 8);
     assert_eq!(intervals_from_container(&bytes).expect("valid").len(), 3);
-    // Version 3 has no list of times, and in version 4 its length must match the count.
-    for (at, value) in [(8, 3), (bytes.len() - 48 - 3 * 8 - 2 * 96 + 60, 1)] {
+    // The number of times must match the list, and they ascend.
+    let [list, counts] = [48 + 3 * 8, 48 + 3 * 8 + 2 * 96 - 60].map(|back| bytes.len() - back);
+    for (at, value) in [(counts, 1), (counts, 3), (list + 7, 0x7f), (list + 15, 0xbf)] {
         let mut wrong = bytes.clone();
         wrong[at] = value;
         let error = intervals_from_container(&wrong).expect_err("impossible").to_string();
-        assert!(error.contains("index"), "{error}");
+        assert!(error.contains("index") && error.contains("times of frames"), "{error}");
     }
 }
 
@@ -357,7 +350,7 @@ proptest! {
     #[test]
     fn any_records_come_back(
         records in proptest::collection::vec(
-            (proptest::array::uniform21(-(1_i64 << 40)..1 << 40), 0_u64..6, 0_u64..3, 0_u64..3, 0_u8..6), 0..60,
+            (proptest::collection::vec(-(1_i64 << 40)..1 << 40, VALUES.len()), 0_u64..6, 0_u64..3, 0_u64..3, 0_u8..6), 0..60,
         ),
         split in any::<proptest::sample::Index>(),
         merges in proptest::collection::vec((any::<u64>(), any::<u64>()), 0..5),
@@ -365,11 +358,11 @@ proptest! {
         let all: Vec<Quantised> = records
             .into_iter()
             .map(|(mut values, identity, birth, frame, code)| {
-                for i in [6, 7, 8, 15, 16, 20] {
-                    values[i] = values[i].rem_euclid(4000);
+                for (value, row) in values.iter_mut().zip(&VALUES).filter(|(_, row)| row.range[0] > -LIMIT) {
+                    *value = value.rem_euclid(row.range[1].min(4000));
                 }
                 Quantised {
-                    values,
+                    values: values.try_into().expect("as many as rows"),
                     identity: identity.wrapping_sub(2),
                     birth,
                     frame,
@@ -381,10 +374,10 @@ proptest! {
         let merges: Vec<Merge> = merges.into_iter().map(|(identity, into)| Merge { identity, into }).collect();
         let (before, records) = all.split_at(if all.is_empty() { 0 } else { split.index(all.len()) });
         let bytes = encode(before, records, &merges);
-        let (found, ended) = decode(CONTAINER_VERSION, before, &bytes, records.len(), merges.len()).expect("just encoded");
+        let (found, ended) = decode(before, &bytes, records.len(), merges.len()).expect("just encoded");
         prop_assert_eq!(&found, records);
         prop_assert_eq!(ended, merges);
-        prop_assert!(decode(CONTAINER_VERSION, before, &bytes, records.len() + 1, 0).is_err());
+        prop_assert!(decode(before, &bytes, records.len() + 1, 0).is_err());
     }
 
     #[test]
@@ -398,7 +391,7 @@ proptest! {
             let at = index.index(bytes.len());
             bytes[at] = byte;
         }
-        if let Ok((found, _)) = decode(CONTAINER_VERSION, &[], &bytes, records.len(), interval.merges.len()) {
+        if let Ok((found, _)) = decode(&[], &bytes, records.len(), interval.merges.len()) {
             prop_assert!(found.iter().all(|r| r.record().is_sound()));
         }
     }

@@ -1,13 +1,13 @@
 //! Writing a container, interval by interval.
 
 use std::fs::File;
-use std::io::{BufWriter, Seek, SeekFrom, Write};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::chunk::encode;
 use super::index::{Entry, Table, header};
 use super::quantise::Quantised;
-use super::{ALONE_EVERY, MOST, WITHOUT_FRAMES};
+use super::{ALONE_EVERY, MOST};
 use crate::output::{OutputError, Partial, Written};
 use crate::scene::frames::listed;
 use crate::scene::{PlacementRecord, SceneError};
@@ -48,7 +48,7 @@ impl ContainerWriter {
             frames: 0,
             before: Vec::new(),
         };
-        writer.write(&header(WITHOUT_FRAMES))?;
+        writer.write(&header())?;
         Ok(writer)
     }
 
@@ -128,25 +128,13 @@ impl ContainerWriter {
     pub fn finish(mut self) -> Result<Option<Written>, OutputError> {
         let Some(table) = self.table.take() else { return Ok(None) };
         let (at, index) = (self.at, table.to_bytes());
-        let version = table.version();
-        let digest = blake3::hash(&[&header(version)[..], &index].concat());
+        let digest = blake3::hash(&[&header()[..], &index].concat());
         self.write(&index)?;
         self.write(&at.to_le_bytes())?;
         self.write(&(index.len() as u64).to_le_bytes())?;
         self.write(digest.as_bytes())?;
-        if version != WITHOUT_FRAMES {
-            // Only now it is known whether times have to be listed. The digest is that of the file with the final
-            // header.
-            let again = self.file.flush().and_then(|()| self.file.seek(SeekFrom::Start(0)));
-            again.and_then(|_| self.file.write_all(&header(version))).map_err(OutputError::write(&self.path))?;
-        }
         self.file.flush().map_err(OutputError::write(&self.path))?;
         drop(self.file);
-        if version != WITHOUT_FRAMES {
-            self.hasher.reset();
-            let read = File::open(self.partial.path()).and_then(|file| self.hasher.update_reader(file).map(drop));
-            read.map_err(OutputError::write(&self.path))?;
-        }
         self.partial.keep()?;
         Ok(Some(Written { bytes: self.at, blake3: self.hasher.finalize().to_hex().to_string() }))
     }

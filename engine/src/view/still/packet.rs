@@ -6,7 +6,7 @@
 //! | header | | |
 //! |---|---|---|
 //! | 0 | 4 bytes | `ssst` |
-//! | 4 | u32 | version, 2 |
+//! | 4 | u32 | version, 1 |
 //! | 8 | u32 | count |
 //! | 12 | u16 | degree of the harmonics |
 //! | 14 | u16 | 1: trained with anti-aliasing, and drawn as for [`About::antialiased`](crate::still::About::antialiased); else 0 |
@@ -39,7 +39,7 @@ use crate::still::Drawable;
 /// The first bytes.
 pub(super) const MAGIC: [u8; 4] = *b"ssst";
 /// The version this program writes, and its page reads.
-const VERSION: u32 = 2;
+const VERSION: u32 = 1;
 /// Bytes before the records.
 pub(super) const HEADER: usize = 16;
 /// Bytes of a record.
@@ -197,7 +197,7 @@ mod tests {
             let scene = drawable(still(509, degree));
             let (still, bytes) = (scene.still(), packet(&scene));
             let count = long(&bytes, 8) as usize;
-            assert_eq!((&bytes[..4], long(&bytes, 4), long(&bytes, 12)), (&MAGIC[..], 2, degree as u32));
+            assert_eq!((&bytes[..4], long(&bytes, 4), long(&bytes, 12)), (&MAGIC[..], VERSION, degree as u32));
             assert!(count > 400 && bytes.len() == length(count, degree));
             for place in 0..count {
                 let i = long(&bytes, bytes.len() - 4 * (count - place)) as usize;

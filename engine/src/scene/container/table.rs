@@ -1,0 +1,143 @@
+//! The columns of a chunk, in storage order. A new value of a record is a row of [`VALUES`], after the others.
+
+use self::By::{Last, Link, Track};
+use self::Form::{Log2, Log2Plus1, Over, Steps};
+use crate::stream::Record;
+
+/// The columns before those of values.
+pub(super) const LINKS: [&str; 6] = ["kind", "link", "code", "identity", "birth", "frame"];
+/// The columns after them, a number per merge.
+pub(super) const MERGES: [&str; 2] = ["merge", "merge_into"];
+
+/// A number of a record, which is stored as a whole number.
+pub(super) struct Value {
+    /// The column's name.
+    pub(super) name: &'static str,
+    /// The number's place in a record.
+    pub(super) of: fn(&mut Record) -> &mut f32,
+    /// How it becomes a whole number.
+    pub(super) form: Form,
+    /// Least and greatest whole number; others move to the nearer end.
+    pub(super) range: [i64; 2],
+    /// What predicts the whole number.
+    pub(super) by: By,
+    /// Steps of a container's whole numbers per step of a page's, which only draws. A page's steps are a sixteenth of a
+    /// pixel of 512×288 along x and z, a 512th of inverse depth, a sixteenth of an opacity, a quarter of an octave of
+    /// scale and thickness, a 64th of a colour.
+    #[cfg_attr(not(feature = "viewer"), expect(dead_code, reason = "only pages have coarser numbers"))]
+    pub(super) coarseness: i64,
+    /// Whether the column is empty where all its differences are 0.
+    pub(super) rare: bool,
+}
+
+/// Whole numbers of a number `x`, before they are rounded to the nearest, ties to even, in binary64.
+#[derive(Clone, Copy)]
+pub(super) enum Form {
+    /// So many steps to a unit.
+    Steps(f64),
+    /// Steps, minus the whole number so many columns before: colours over green.
+    Over(f64, usize),
+    /// `steps·log₂ x`, where 0 becomes the range's least, which comes back as 0.
+    Log2(f64),
+    /// `steps·log₂(1 + x)`
+    Log2Plus1(f64),
+}
+
+/// Predictions of a whole number. A record is carried, following or fresh ([`chunk`](super::chunk)).
+#[derive(Clone, Copy)]
+pub(super) enum By {
+    /// The linked record's for a carried one, else that of the last record that is not carried.
+    Link,
+    /// The linked record's for a carried one, the way to the tracked point for a following one, 0 for a fresh one.
+    Track,
+    /// That of the last record.
+    Last,
+}
+
+/// The largest magnitude of a whole number.
+pub(super) const LIMIT: i64 = 1 << 46;
+const ANY: [i64; 2] = [-LIMIT, LIMIT];
+const FROM_0: [i64; 2] = [0, LIMIT];
+const WIDTHS: [i64; 2] = [-9664, 8128];
+
+const LENGTH: f64 = 8192.0;
+const COLOUR: f64 = 511.0;
+/// Coarser than colours: it is multiplied by the time from the reference, and mostly visible where its Gaussian fades.
+const RATE: f64 = 255.0;
+
+/// The values of a record.
+pub(super) const VALUES: [Value; 21] = [
+    value("mean_x", |r| &mut r.mean[0], Steps(LENGTH), ANY, Link, 8),
+    value("mean_y", |r| &mut r.mean[1], Steps(LENGTH), ANY, Link, 16),
+    value("mean_z", |r| &mut r.mean[2], Steps(LENGTH), ANY, Link, 16),
+    value("offset_x", |r| &mut r.offset[0], Steps(LENGTH), ANY, Track, 1),
+    value("offset_y", |r| &mut r.offset[1], Steps(LENGTH), ANY, Track, 1),
+    value("offset_z", |r| &mut r.offset[2], Steps(LENGTH), ANY, Track, 1),
+    value("opacity", |r| &mut r.opacity, Steps(1023.0), FROM_0, Link, 64),
+    value("scale_x", |r| &mut r.scale[0], Log2(64.0), WIDTHS, Link, 16),
+    value("scale_z", |r| &mut r.scale[1], Log2(64.0), WIDTHS, Link, 16),
+    value("green", |r| &mut r.rgb[1], Steps(COLOUR), ANY, Link, 8),
+    value("red", |r| &mut r.rgb[0], Over(COLOUR, 1), ANY, Link, 12),
+    value("blue", |r| &mut r.rgb[2], Over(COLOUR, 2), ANY, Link, 12),
+    value("velocity_x", |r| &mut r.velocity[0], Steps(LENGTH), ANY, Last, 16),
+    value("velocity_y", |r| &mut r.velocity[1], Steps(LENGTH), ANY, Last, 16),
+    value("velocity_z", |r| &mut r.velocity[2], Steps(LENGTH), ANY, Last, 16),
+    value("gamma_0", |r| &mut r.gamma[0], Log2Plus1(32.0), [0, 4092], Last, 1),
+    value("gamma_1", |r| &mut r.gamma[1], Steps(256.0), FROM_0, Last, 1),
+    value("green_rate", |r| &mut r.rgb_rate[1], Steps(RATE), ANY, Last, 24).rare(),
+    value("red_rate", |r| &mut r.rgb_rate[0], Over(RATE, 1), ANY, Last, 32).rare(),
+    value("blue_rate", |r| &mut r.rgb_rate[2], Over(RATE, 2), ANY, Last, 32).rare(),
+    value("thickness", |r| &mut r.thickness, Log2(64.0), WIDTHS, Link, 16).rare(),
+];
+/// The first row of each of the three from which tracked points follow.
+pub(super) const MEAN: usize = 0;
+pub(super) const OFFSET: usize = 3;
+pub(super) const VELOCITY: usize = 12;
+
+const fn value(
+    name: &'static str,
+    of: fn(&mut Record) -> &mut f32,
+    form: Form,
+    range: [i64; 2],
+    by: By,
+    coarseness: i64,
+) -> Value {
+    Value { name, of, form, range, by, coarseness, rare: false }
+}
+
+impl Value {
+    const fn rare(self) -> Value {
+        Value { rare: true, ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream::{Handover, Reference};
+
+    #[test]
+    fn every_number_of_a_record_has_a_row() {
+        let mut record = Record {
+            mean: [f32::NAN; 3],
+            velocity: [f32::NAN; 3],
+            gamma: [f32::NAN; 2],
+            opacity: f32::NAN,
+            scale: [f32::NAN; 2],
+            thickness: f32::NAN,
+            rgb: [f32::NAN; 3],
+            rgb_rate: [f32::NAN; 3],
+            offset: [f32::NAN; 3],
+            identity: 0,
+            birth: 0,
+            frame: 0,
+            reference: Reference::Start,
+            handover: Handover::None,
+        };
+        VALUES.iter().for_each(|value| {
+            assert!(!record.is_sound());
+            *(value.of)(&mut record) = 0.5;
+        });
+        assert!(record.is_sound(), "{record:?}");
+    }
+}
