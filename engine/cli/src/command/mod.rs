@@ -8,8 +8,6 @@ pub mod forward;
 pub mod golden;
 pub mod inspect;
 pub mod manual;
-#[cfg(test)]
-mod power;
 pub mod render;
 pub mod run;
 pub mod splat;
