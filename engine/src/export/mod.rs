@@ -23,7 +23,7 @@ pub use ply::ply;
 pub use sog::sog;
 pub use splat::splat;
 pub use spz::spz;
-pub use tracks::{HEADER as TRACKS_HEADER, tracks};
+pub use tracks::tracks;
 
 use order::Order;
 

@@ -43,7 +43,7 @@ fn unknown_and_unavailable_values_are_wrong_use() {
         (&["--threads", "many"], "--threads: expected a whole number from 1 to 1024"),
         (&["--gap", "0"], "--gap: expected a whole number"),
         (&["--gap", "auto:9-4"], "--gap: expected a whole number"),
-        (&["--renderer", "metal"], "--renderer: expected cpu or wgpu, found \"metal\""),
+        (&["--renderer", "metal"], "--renderer: unknown renderer \"metal\": expected one of cpu, wgpu"),
         (&["--fusion", "both"], "--fusion: unknown fusion \"both\""),
         (&["--resolution", "288"], "--resolution: unknown resolution \"288\""),
         (&["--motion", "flow"], "--motion: unknown motion \"flow\""),
