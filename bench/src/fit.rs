@@ -4,16 +4,16 @@
 use anyhow::{Result, ensure};
 use clap::Args;
 use serde::Serialize;
+use streamsplat_bench::Common;
+use streamsplat_bench::machine::Machine;
+use streamsplat_bench::table::{Column, Table};
+use streamsplat_bench::timing::{Seconds, once};
 use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_kernels::flow::{self, Blend, Options as FlowOptions, Pyramid};
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::raster::{ColourMap, render};
 
-use crate::Common;
-use crate::machine::Machine;
 use crate::raster::scenes::Scene;
-use crate::table::{Column, Table};
-use crate::timing::{Seconds, once};
 
 /// Options of `fit`.
 #[derive(Args)]

@@ -10,11 +10,11 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail, ensure};
 use serde::{Deserialize, Serialize};
+use streamsplat_bench::table::{Column, Table};
 use streamsplat_kernels::Level;
 use streamsplat_model::{LoadOptions, Precision};
 
 use crate::model::{Model, Which, noise};
-use crate::table::{Column, Table};
 
 const TABLE: Table<'_> = Table(&[
     Column::Text("stage", 10),
@@ -99,7 +99,7 @@ pub(crate) fn run(recorded: Option<&Path>, json: Option<&Path>) -> Result<()> {
         println!("{}", TABLE.line(&[&count.stage, &count.precision, &count.instructions.to_string(), &change]));
     }
     if let Some(path) = json {
-        crate::write_json(path, &counts)?;
+        streamsplat_bench::write_json(path, &counts)?;
     }
     recorded.map_or(Ok(()), |recorded| compare(&recorded, &counts))
 }

@@ -3,16 +3,15 @@
 use anyhow::{Result, ensure};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
+use streamsplat_bench::Common;
+use streamsplat_bench::machine::{Machine, peak};
+use streamsplat_bench::table::{Column, Table};
+use streamsplat_bench::timing::{Seconds, once};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::attention::{self, Rows, Shape, Windows, attend_as};
 use streamsplat_kernels::gemm::{self, Epilogue, Precision, Weights, linear};
 use streamsplat_kernels::memory::Aligned;
 use streamsplat_kernels::norm;
-
-use crate::Common;
-use crate::machine::{Machine, peak};
-use crate::table::{Column, Table};
-use crate::timing::{Seconds, once};
 
 /// Options of `kernels`.
 #[derive(Args)]

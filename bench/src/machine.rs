@@ -9,7 +9,7 @@ use crate::timing::once;
 
 /// The machine of a measurement.
 #[derive(Serialize)]
-pub(crate) struct Machine {
+pub struct Machine {
     cpu: String,
     threads: usize,
     isa: &'static str,
@@ -18,7 +18,7 @@ pub(crate) struct Machine {
 
 /// Billions of operations a second on all threads, a multiplication and an addition counted as two.
 #[derive(Serialize)]
-pub(crate) struct Peak {
+pub struct Peak {
     f32: f64,
     bf16: f64,
     int8: f64,
@@ -27,7 +27,7 @@ pub(crate) struct Peak {
 impl Machine {
     /// This machine with the threads of the current pool. `seen` is a peak measured during the run: clock rates change,
     /// and the best counts.
-    pub(crate) fn new(level: Level, seen: (Precision, f64)) -> Machine {
+    pub fn new(level: Level, seen: (Precision, f64)) -> Machine {
         let best = |precision| {
             let start = if seen.0 == precision { seen.1 } else { 0.0 };
             (0..5).fold(start, |best: f64, _| best.max(peak(level, precision)))
@@ -46,7 +46,7 @@ impl std::fmt::Display for Machine {
 }
 
 /// The processor's name.
-pub(crate) fn cpu() -> String {
+pub fn cpu() -> String {
     let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let line = info.lines().find(|l| l.starts_with("model name") || l.starts_with("CPU part"));
     line.and_then(|l| l.split_once(':')).map_or_else(|| std::env::consts::ARCH.to_owned(), |(_, n)| n.trim().to_owned())
@@ -104,7 +104,7 @@ fn chains<S: Simd, const N: usize>(s: S, precision: Precision, steps: usize) -> 
 
 /// Billions of a precision's operations a second on all threads of the current pool, measured once (some ten
 /// milliseconds).
-pub(crate) fn peak(level: Level, precision: Precision) -> f64 {
+pub fn peak(level: Level, precision: Precision) -> f64 {
     let steps = if level == Level::scalar() { 10_000 } else { 200_000 };
     let mut done = 0.0;
     let seconds = once(|| {

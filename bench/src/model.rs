@@ -1,17 +1,17 @@
 //! Networks with all inputs of a new key frame, and their stages one by one.
 
-use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::io::BufWriter;
+use std::path::Path;
 
 use anyhow::{Context, Result};
 use streamsplat::stream::{EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG};
+use streamsplat_bench::timing::{Spent, Stopwatch};
 use streamsplat_fixtures::seeded::{self, Sizes, uniform};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Gaussians, Projection, Request, render};
 use streamsplat_model::checkpoint::Checkpoint;
 use streamsplat_model::{Deformation, Dino, FrameInput, LoadOptions, Network, Sampling, Side, StaticGaussians, motion};
-
-use crate::timing::{Spent, Stopwatch};
+use tempfile::{NamedTempFile, TempPath};
 
 /// The model.
 #[derive(Clone, Copy, Debug)]
@@ -32,8 +32,8 @@ impl Which<'_> {
         Ok(match self {
             Which::Small => work(&Checkpoint::from_storage(EMBEDDED_CHECKPOINT, "the embedded model")?),
             Which::Paper => {
-                let file = Temporary::new("binary64", |out| Sizes::paper().write(31, "model.", out))?;
-                work(&Checkpoint::open(file.path())?)
+                let file = temporary(|out| Sizes::paper().write(31, "model.", out))?;
+                work(&Checkpoint::open(&file)?)
             }
             Which::Seeded => work(&Checkpoint::from_storage(seeded_network()?, "seeded weights")?),
             Which::File { checkpoint, .. } => work(&Checkpoint::open(checkpoint)?),
@@ -71,9 +71,9 @@ pub(crate) fn loading(which: Which<'_>, load: &LoadOptions, repeat: usize) -> Re
     match which {
         Which::Small | Which::Seeded => Ok(Vec::new()),
         Which::Paper => {
-            let network = Temporary::new("paper", |out| Sizes::paper().write(31, "model.", out))?;
-            let dino = Temporary::new("dino", |out| seeded::write(&seeded::dino_shapes(768, 12), 32, "", out))?;
-            time(network.path(), Some(dino.path()))
+            let network = temporary(|out| Sizes::paper().write(31, "model.", out))?;
+            let dino = temporary(|out| seeded::write(&seeded::dino_shapes(768, 12), 32, "", out))?;
+            time(&network, Some(&dino))
         }
         Which::File { checkpoint, dinov2 } => time(checkpoint, dinov2),
     }
@@ -103,33 +103,10 @@ pub(crate) struct Model {
 }
 
 /// A seeded model as a file that is removed when dropped.
-pub(crate) struct Temporary(PathBuf);
-
-impl Temporary {
-    pub(crate) fn new(
-        name: &str,
-        write: impl FnOnce(&mut BufWriter<std::fs::File>) -> std::io::Result<()>,
-    ) -> Result<Temporary> {
-        let path = std::env::temp_dir().join(format!("streamsplat-{}-{name}.safetensors", std::process::id()));
-        let file = std::fs::File::create(&path).with_context(|| format!("creating {}", path.display()))?;
-        let file_guard = Temporary(path);
-        let mut file = BufWriter::new(file);
-        write(&mut file).and_then(|()| file.flush()).with_context(|| format!("writing {}", file_guard.0.display()))?;
-        Ok(file_guard)
-    }
-
-    pub(crate) fn path(&self) -> &Path {
-        &self.0
-    }
-}
-
-impl Drop for Temporary {
-    fn drop(&mut self) {
-        // At worst the files remain. Some models have a configuration file.
-        for path in [self.0.with_extension("json"), std::mem::take(&mut self.0)] {
-            let _ = std::fs::remove_file(path);
-        }
-    }
+fn temporary(write: impl FnOnce(&mut BufWriter<NamedTempFile>) -> std::io::Result<()>) -> Result<TempPath> {
+    let mut file = BufWriter::new(tempfile::Builder::new().suffix(".safetensors").tempfile()?);
+    write(&mut file).context("writing seeded weights")?;
+    Ok(file.into_inner().context("writing seeded weights")?.into_temp_path())
 }
 
 impl Model {
@@ -143,10 +120,10 @@ impl Model {
             Which::Small => (Network::from_parts(EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, load)?, None),
             Which::Seeded => (Network::from_parts(seeded_network()?, &seeded_sizes().json().to_string(), load)?, None),
             Which::Paper => {
-                let file = Temporary::new("paper", |out| Sizes::paper().write(31, "model.", out))?;
-                let network = Network::open(&file.0, load)?;
-                let file = Temporary::new("dino", |out| seeded::write(&seeded::dino_shapes(768, 12), 32, "", out))?;
-                (network, Some(Dino::open(&file.0, load)?))
+                let file = temporary(|out| Sizes::paper().write(31, "model.", out))?;
+                let network = Network::open(&file, load)?;
+                let file = temporary(|out| seeded::write(&seeded::dino_shapes(768, 12), 32, "", out))?;
+                (network, Some(Dino::open(&file, load)?))
             }
             Which::File { checkpoint, dinov2 } => {
                 let network = Network::open(checkpoint, load)?;

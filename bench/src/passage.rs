@@ -1,11 +1,10 @@
 //! Variants on a clip: engines that differ in precision, reuse or gap take the same frames in turn, key frame by key
 //! frame. So other load on the machine disturbs all of them equally.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::{Context, Result, ensure};
-use streamsplat::folder;
+use anyhow::{Result, ensure};
 use streamsplat::gap::{Auto, Gap, grouped};
 use streamsplat::metrics::psnr;
 use streamsplat::picture::Picture;
@@ -19,19 +18,22 @@ use crate::timing::{Spent, Stopwatch};
 
 /// A variant of the engine on a clip.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Variant {
-    pub(crate) precision: Precision,
-    pub(crate) reuse: Reuse,
-    pub(crate) gap: Gap,
+pub struct Variant {
+    /// Operands of products.
+    pub precision: Precision,
+    /// Skipped work.
+    pub reuse: Reuse,
+    /// Frames from one key frame to the next.
+    pub gap: Gap,
 }
 
 /// A gap as written on the command line.
-pub(crate) fn gap_name(gap: Gap) -> String {
+pub fn gap_name(gap: Gap) -> String {
     if gap == Gap::Auto(Auto::default()) { "auto".to_owned() } else { gap.to_string() }
 }
 
 /// Frames of a clip.
-pub(crate) fn read(input: &Path, frames: Option<usize>) -> Result<Vec<TimedPicture>> {
+pub fn read(input: &Path, frames: Option<usize>) -> Result<Vec<TimedPicture>> {
     let mut source = Source::open(input, &source::Options::default())?;
     let mut read = Vec::new();
     while read.len() < frames.unwrap_or(usize::MAX)
@@ -53,26 +55,31 @@ fn keys(gap: Gap, clip: &[TimedPicture]) -> Vec<usize> {
 
 /// Time of a key frame.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Step {
+pub struct Step {
     /// [`Engine::push`].
-    pub(crate) pushed: Spent,
+    pub pushed: Spent,
     /// The images of its interval.
-    pub(crate) drawn: Spent,
+    pub drawn: Spent,
 }
 
 /// One running variant.
-pub(crate) struct Runner {
-    pub(crate) variant: Variant,
-    pub(crate) engine: Engine,
+pub struct Runner {
+    /// Its choices.
+    pub variant: Variant,
+    /// Its engine.
+    pub engine: Engine,
     renderer: Renderer,
-    pub(crate) keys: Vec<usize>,
+    /// Indices of key frames.
+    pub keys: Vec<usize>,
     chosen: Spent,
-    pub(crate) steps: Vec<Step>,
-    pub(crate) images: Vec<Picture>,
+    /// Times, one per key frame.
+    pub steps: Vec<Step>,
+    /// Images, one per frame.
+    pub images: Vec<Picture>,
 }
 
 /// Engines of one model; those of one precision share its weights.
-pub(crate) struct Models {
+pub struct Models {
     settings: Settings,
     /// By precision, and whether every branch is computed, as only for `off`.
     loaded: Vec<((Precision, bool), Arc<dyn Reconstructor>)>,
@@ -80,7 +87,7 @@ pub(crate) struct Models {
 
 impl Models {
     /// Those of `settings`, except for precision and reuse.
-    pub(crate) fn new(settings: Settings) -> Models {
+    pub fn new(settings: Settings) -> Models {
         Models { settings, loaded: Vec::new() }
     }
 
@@ -108,7 +115,7 @@ impl Models {
     }
 
     /// Takes a clip through every variant.
-    pub(crate) fn pass(&mut self, clip: &[TimedPicture], variants: &[Variant]) -> Result<Vec<Runner>> {
+    pub fn pass(&mut self, clip: &[TimedPicture], variants: &[Variant]) -> Result<Vec<Runner>> {
         let mut runners = Vec::new();
         for variant in variants {
             runners.push(self.runner(variant, clip)?);
@@ -140,7 +147,7 @@ impl Runner {
     }
 
     /// Keeps for every part of the work the shorter time of this run and another of the same variant.
-    pub(crate) fn quicken(&mut self, other: &Runner) {
+    pub fn quicken(&mut self, other: &Runner) {
         self.chosen = self.chosen.least(other.chosen);
         for (step, other) in self.steps.iter_mut().zip(&other.steps) {
             step.pushed = step.pushed.least(other.pushed);
@@ -149,29 +156,29 @@ impl Runner {
     }
 
     /// Time of all key frames.
-    pub(crate) fn pushed(&self) -> Spent {
+    pub fn pushed(&self) -> Spent {
         self.steps.iter().fold(Spent::default(), |sum, step| sum + step.pushed)
     }
 
     /// Time of everything but reading and writing, per input frame.
-    pub(crate) fn frame(&self) -> Spent {
+    pub fn frame(&self) -> Spent {
         let steps = self.steps.iter().fold(self.chosen, |sum, step| sum + step.pushed + step.drawn);
         steps / self.images.len() as f64
     }
 }
 
 /// The true frames of a clip in the form for comparisons with images.
-pub(crate) fn truths(clip: &[TimedPicture]) -> Vec<Picture> {
+pub fn truths(clip: &[TimedPicture]) -> Vec<Picture> {
     clip.iter().map(|frame| frame.picture.resized(256, 256)).collect()
 }
 
 /// PSNR of images against the [`truths`], at 256×256.
-pub(crate) fn against(images: &[Picture], truths: &[Picture]) -> Result<Vec<f64>> {
+pub fn against(images: &[Picture], truths: &[Picture]) -> Result<Vec<f64>> {
     images.iter().zip(truths).map(|(image, truth)| Ok(psnr(&image.resized(256, 256), truth)?)).collect()
 }
 
 /// Mean square error of all images against others.
-pub(crate) fn mean_square_error(images: &[Picture], others: &[Picture]) -> Result<f64> {
+pub fn mean_square_error(images: &[Picture], others: &[Picture]) -> Result<f64> {
     ensure!(images.len() == others.len(), "variants of one gap drew other frames");
     let mut error = 0.0;
     for (a, b) in images.iter().zip(others) {
@@ -180,20 +187,13 @@ pub(crate) fn mean_square_error(images: &[Picture], others: &[Picture]) -> Resul
     Ok(error)
 }
 
-/// The clips of the inputs, in natural order.
-pub(crate) fn clips(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
-    let mut clips = Vec::new();
-    for input in inputs {
-        if !input.is_dir() || folder::has_images(input) {
-            clips.push(input.clone());
-            continue;
+/// The values in their order, each once; `first` before them.
+pub fn once_each<T: Copy + PartialEq>(first: T, others: &[T]) -> Vec<T> {
+    let mut all = vec![first];
+    for &other in others {
+        if !all.contains(&other) {
+            all.push(other);
         }
-        let entries = std::fs::read_dir(input).with_context(|| format!("{}", input.display()))?;
-        let mut inside: Vec<PathBuf> =
-            entries.flatten().map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
-        inside.sort();
-        ensure!(!inside.is_empty(), "{}: neither images nor clips", input.display());
-        clips.extend(inside);
     }
-    Ok(clips)
+    all
 }

@@ -12,15 +12,14 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use safetensors::tensor::{Dtype, TensorView};
 use serde::Deserialize;
+use streamsplat_bench::timing::Stopwatch;
 use streamsplat_model::{Dino, LoadOptions, Network, Precision, Side};
-
-use crate::timing::Stopwatch;
 
 /// Options of `serve`.
 #[derive(Args)]
 pub(crate) struct Options {
     #[command(flatten)]
-    common: crate::Common,
+    common: streamsplat_bench::Common,
     /// The model, safetensors in the official layout.
     #[arg(long, required_unless_present = "dinov2", conflicts_with = "dinov2")]
     model: Option<PathBuf>,

@@ -9,16 +9,16 @@ use std::path::PathBuf;
 use anyhow::{Result, ensure};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
+use streamsplat_bench::Common;
+use streamsplat_bench::machine::{self, Machine};
+use streamsplat_bench::table::{Column, Table};
+use streamsplat_bench::timing::{Seconds, Spent, Stopwatch};
 use streamsplat_kernels::gemm;
 use streamsplat_model::cost::{dino_gflop, stages};
 use streamsplat_model::{LoadOptions, Precision, zero_output};
 
-use crate::Common;
 use crate::instructions;
-use crate::machine::{self, Machine};
 use crate::model::{Model, Which, loading, noise};
-use crate::table::{Column, Table};
-use crate::timing::{Seconds, Spent, Stopwatch};
 
 /// Options of `stages`.
 #[derive(Args)]

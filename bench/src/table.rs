@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 /// A column's heading, with its least width on the terminal.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Column {
+pub enum Column {
     /// Flush left.
     Text(&'static str, usize),
     /// Flush right.
@@ -13,7 +13,10 @@ pub(crate) enum Column {
 
 /// The columns of a table.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Table<'a>(pub(crate) &'a [Column]);
+pub struct Table<'a>(
+    /// From left to right.
+    pub &'a [Column],
+);
 
 impl Column {
     fn head(self) -> &'static str {
@@ -25,12 +28,12 @@ impl Column {
 
 impl Table<'_> {
     /// The headings, as a line of the terminal.
-    pub(crate) fn heads(&self) -> String {
+    pub fn heads(&self) -> String {
         self.line(&self.0.iter().map(|column| column.head()).collect::<Vec<_>>())
     }
 
     /// A row, as a line of the terminal. A cell wider than its column moves those after it.
-    pub(crate) fn line(&self, cells: &[impl AsRef<str>]) -> String {
+    pub fn line(&self, cells: &[impl AsRef<str>]) -> String {
         debug_assert_eq!(cells.len(), self.0.len(), "a cell for each column");
         let mut line = String::new();
         for (column, cell) in self.0.iter().zip(cells) {
@@ -45,7 +48,7 @@ impl Table<'_> {
     }
 
     /// The whole table in Markdown.
-    pub(crate) fn markdown<R: AsRef<[String]>>(&self, rows: impl IntoIterator<Item = R>) -> String {
+    pub fn markdown<R: AsRef<[String]>>(&self, rows: impl IntoIterator<Item = R>) -> String {
         let mut text = String::new();
         let mut line = |cells: &mut dyn Iterator<Item = &str>| {
             text.push('|');

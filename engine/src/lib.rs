@@ -63,7 +63,6 @@ pub mod samples;
 pub mod scene;
 pub mod source;
 pub mod space;
-pub mod splats;
 pub mod still;
 pub mod stream;
 pub mod track;

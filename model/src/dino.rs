@@ -70,11 +70,7 @@ impl Dino {
         Self::load(&checkpoint, &settings, options)
     }
 
-    pub(crate) fn load(
-        checkpoint: &Checkpoint,
-        settings: &Settings,
-        options: &LoadOptions,
-    ) -> Result<Dino, ModelError> {
+    fn load(checkpoint: &Checkpoint, settings: &Settings, options: &LoadOptions) -> Result<Dino, ModelError> {
         let _span = info_span!("load").entered();
         let layout = DinoLayout::of(checkpoint).ok_or_else(|| not_dino(checkpoint))?;
         let weights = &Weights::new(checkpoint, "").on(options.level).laid_out(layout);

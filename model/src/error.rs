@@ -16,14 +16,6 @@ pub enum ModelError {
         /// Cause.
         source: io::Error,
     },
-    /// A file could not be written.
-    #[error("{file}: cannot write: {source}")]
-    Write {
-        /// The file.
-        file: String,
-        /// Cause.
-        source: io::Error,
-    },
     /// The bytes do not have the expected format.
     #[error("{file}: {reason}")]
     Format {

@@ -30,7 +30,6 @@ mod dino_layout;
 mod dino_session;
 mod encoder;
 mod error;
-pub mod forward;
 mod frame;
 mod grid;
 pub mod inspect;

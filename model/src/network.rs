@@ -67,11 +67,7 @@ impl Network {
         Self::load(&checkpoint, &settings, options)
     }
 
-    pub(crate) fn load(
-        checkpoint: &Checkpoint,
-        settings: &Settings,
-        options: &LoadOptions,
-    ) -> Result<Network, ModelError> {
+    fn load(checkpoint: &Checkpoint, settings: &Settings, options: &LoadOptions) -> Result<Network, ModelError> {
         let _span = info_span!("load").entered();
         let mut weights = Weights::new(checkpoint, config::prefix(checkpoint)?).on(options.level);
         let config = Config::derive(&weights, settings)?;

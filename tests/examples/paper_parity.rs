@@ -11,8 +11,8 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use streamsplat_model::checkpoint::Checkpoint;
-use streamsplat_model::forward::forward;
 use streamsplat_model::{LoadOptions, ModelError, Network};
+use streamsplat_tests::forward::forward;
 use streamsplat_tests::reference::relative_l2;
 
 fn main() -> ExitCode {

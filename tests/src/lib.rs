@@ -3,10 +3,12 @@
 pub mod digest;
 pub mod enlarging;
 pub mod extremes;
+pub mod forward;
 pub mod fuzz;
 mod noise;
 pub mod parity;
 pub mod reference;
+pub mod splats;
 pub mod theatre;
 pub mod turned;
 

@@ -99,7 +99,7 @@ fn sheet() -> Vec<Interval> {
             scale: [0.03 + 0.01 * grain, 0.03],
             thickness: 0.5 + (cell % 5) as f32 * 0.25,
             rgb: [0.5 + 0.4 * x, 0.5 - 0.4 * z, 0.3 + 0.2 * grain],
-            rgb_rate: [0.15 * x + 0.05 * grain, 0.1 * x * z, 0.1 * z],
+            rgb_rate: [0.4 * x + 0.05 * grain, 0.3 * x * z, 0.3 * z],
             identity: if continues { cell } else { frame * 960 + cell },
             birth: if continues { 0 } else { frame },
             frame,

@@ -96,7 +96,7 @@ fn every_target_has_its_fuzzer_and_no_other_folder_holds_regressions() {
 #[test]
 fn seeds_are_read_as_what_they_are() {
     use std::path::Path;
-    use streamsplat::{camera, depth, formats, scene, source, splats};
+    use streamsplat::{camera, depth, formats, scene, source};
     let all = |name: &str, good: &dyn Fn(&[u8]) -> bool| {
         let target = Target::named(name).expect("a target");
         for (i, seed) in (target.seeds)().iter().enumerate() {
@@ -124,7 +124,7 @@ fn seeds_are_read_as_what_they_are() {
     all("ksplat", &|b| formats::ksplat::read(b).is_ok());
     all("streamed_sog", &|b| formats::lod::plan(b, &limits, 1).is_ok());
     all("spacetime", &|b| formats::spacetime::read(b, &limits).is_ok());
-    all("splat", &|b| splats::Splats::from_safetensors(b).is_ok());
+    all("splat", &|b| streamsplat_tests::splats::Splats::from_safetensors(b).is_ok());
     all("y4m", &|b| {
         let mut stream = source::y4m::Y4m::new(b, Path::new("seed.y4m")).expect("a header");
         (0..2).all(|_| stream.next_picture().is_ok_and(|p| p.is_some()))

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use proptest::prelude::*;
-use streamsplat_model::checkpoint::{Checkpoint, write};
-use streamsplat_model::forward::forward_file;
+use streamsplat_model::checkpoint::Checkpoint;
 use streamsplat_model::inspect::inspect;
 use streamsplat_model::{Config, FrameInput, LoadOptions, ModelError, Network, Sampling};
+use streamsplat_tests::forward::{forward_file, write};
 use streamsplat_tests::parity;
 
 /// A small model, tensor by tensor.
@@ -182,14 +182,25 @@ fn frames_that_do_not_fit_are_errors() {
 #[test]
 fn forward_names_the_input_that_does_not_fit() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (input, output) = (folder.path().join("io.safetensors"), folder.path().join("out.safetensors"));
-    let run = || forward_file(parity::path("tiny-dino.safetensors"), &input, &output, &LoadOptions::default());
+    let input = folder.path().join("io.safetensors");
+    let run = || forward_file(&parity::path("tiny-dino.safetensors"), &input, &LoadOptions::default());
     let frames = vec![0.5; 2 * 3 * 64 * 128];
     write(&input, &[("in.frames".to_owned(), vec![2, 3, 64, 128], &frames)]).expect("a written file");
     says(&run().expect_err("an error").to_string(), &["io.safetensors", "in.condition", "missing"]);
     write(&input, &[("in.frames".to_owned(), vec![2, 3, 128, 64], &frames)]).expect("a written file");
     says(&run().expect_err("an error").to_string(), &["io.safetensors", "in.frames", "[2, 3, 64, 128]"]);
-    assert!(!output.exists());
+}
+
+#[test]
+fn values_of_every_size_are_read_to_the_bit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("values.safetensors");
+    let values = [1.0, f32::MIN_POSITIVE, -0.0, 3.5, 1e-40, f32::MAX];
+    write(&path, &[("x.y".to_owned(), vec![2, 3], &values), ("z".to_owned(), vec![0], &[])]).expect("a written file");
+    let checkpoint = Checkpoint::open(&path).expect("a checkpoint");
+    assert_eq!((checkpoint.shape("x.y"), checkpoint.shape("z")), (Some(&[2, 3][..]), Some(&[0][..])));
+    let found: Vec<u32> = checkpoint.read("x.y").expect("a tensor").iter().map(|x| x.to_bits()).collect();
+    assert_eq!(found, values.map(f32::to_bits));
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! Networks of sizes that no stored checkpoint has agree with the binary64 reference.
 
 use streamsplat_fixtures::seeded::{self, uniform};
-use streamsplat_model::checkpoint::{Checkpoint, write};
-use streamsplat_model::forward::{Tensor, forward, forward_dino};
+use streamsplat_model::checkpoint::Checkpoint;
 use streamsplat_model::{Dino, LoadOptions, Network};
+use streamsplat_tests::forward::{Tensor, forward, forward_dino, write};
 use streamsplat_tests::reference::{self, Inputs, Outputs, Tensors, relative_l2};
 
 fn numbers(count: usize, mut seed: u64) -> Vec<f32> {

@@ -1,8 +1,8 @@
 //! The network reproduces every tensor of the parity data.
 
 use streamsplat_kernels::Level;
-use streamsplat_model::forward::{Tensor, forward, forward_dino};
 use streamsplat_model::{Dino, LoadOptions, Network, Precision};
+use streamsplat_tests::forward::{Tensor, forward, forward_dino};
 use streamsplat_tests::parity;
 use streamsplat_tests::reference::relative_l2;
 

@@ -1,9 +1,9 @@
 //! The rasteriser against a binary64 oracle written in Python from the same equations (`fixtures/oracle/raster.py`).
 
 use safetensors::SafeTensors;
-use streamsplat::splats::Splats;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Image, reference, render};
+use streamsplat_tests::splats::Splats;
 
 fn doubles(file: &SafeTensors<'_>, name: &str) -> Vec<f64> {
     let data = file.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}")).data();

@@ -14,9 +14,9 @@ use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
+use streamsplat_bench::timing::Seconds;
 
 use self::record::{Benchmark, Measured, Record};
-use crate::timing::Seconds;
 
 /// Limit for instructions, in percent.
 const INSTRUCTIONS: f64 = 3.0;

@@ -4,8 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
-
-use crate::timing::Seconds;
+use streamsplat_bench::timing::Seconds;
 
 /// Kind of measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,10 +2,11 @@
 
 use std::fmt::Write as _;
 
+use streamsplat_bench::table::{Column, Table};
+use streamsplat_bench::timing::Seconds;
+
 use super::record::Benchmark;
 use super::{Change, Comparison, Verdict};
-use crate::table::{Column, Table};
-use crate::timing::Seconds;
 
 impl Verdict {
     fn word(self) -> &'static str {

@@ -2,12 +2,12 @@
 
 use anyhow::{Result, ensure};
 use streamsplat::wgpu::WgpuRasteriser;
+use streamsplat_bench::machine::Machine;
+use streamsplat_bench::timing::{Seconds, once};
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::raster::{Work, render};
 
 use super::{Options, Results, SCENES, Scene, SceneTiming, WHOLE};
-use crate::machine::Machine;
-use crate::timing::{Seconds, once};
 
 /// One pixel in this many may differ by more than [`CLOSE`].
 const ONE_IN: usize = 2000;

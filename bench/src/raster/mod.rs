@@ -18,11 +18,11 @@ use streamsplat_kernels::exposure::{self, Exposure};
 use streamsplat_kernels::gemm::Precision;
 use streamsplat_kernels::raster::{Projection, Rasteriser, Work, reference};
 
-use crate::Common;
-use crate::machine::Machine;
-use crate::table::{Column, Table};
-use crate::timing::{Seconds, once};
 use scenes::Scene;
+use streamsplat_bench::Common;
+use streamsplat_bench::machine::Machine;
+use streamsplat_bench::table::{Column, Table};
+use streamsplat_bench::timing::{Seconds, once};
 
 /// Options of `raster`.
 #[derive(Args)]

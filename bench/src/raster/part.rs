@@ -10,11 +10,11 @@ use streamsplat::space::{Bounds, Tree};
 use streamsplat::still::{Drawable, Still};
 use streamsplat::stream::{DynamicGaussians, Record, Snapshot, Workers};
 use streamsplat::{Camera, Image, Interval, RenderOptions, Size};
+use streamsplat_bench::table::{Column, Table};
+use streamsplat_bench::timing::Stopwatch;
 use streamsplat_kernels::Level;
 
 use super::scenes::Random;
-use crate::table::{Column, Table};
-use crate::timing::Stopwatch;
 
 /// Gaussians of each scene.
 const COUNT: usize = 500_000;

@@ -3,6 +3,8 @@
 
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
+use streamsplat_bench::table::{Column, Table};
+use streamsplat_bench::timing::once;
 use streamsplat_fixtures::trained::{DEGREE, FOCAL, HIGHER, SIZE, gaussians};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::harmonics::{self, Eye};
@@ -11,8 +13,6 @@ use streamsplat_kernels::raster::{ColourMap, OwnedGaussians, Projection, Rasteri
 use super::scenes::Scene;
 use super::{Stages, check, peak_rss_bytes};
 use crate::fit::ensure_near;
-use crate::table::{Column, Table};
-use crate::timing::once;
 
 /// Gaussians.
 pub(super) const COUNTS: [usize; 2] = [1_000_000, 10_000_000];

@@ -10,12 +10,12 @@ use streamsplat::metrics::PSNR_CAP;
 use streamsplat::picture::Picture;
 use streamsplat::source::TimedPicture;
 use streamsplat::stream::Reuse;
+use streamsplat_bench::passage::{Models, Variant, against, gap_name, mean_square_error, truths};
+use streamsplat_bench::timing::{Seconds, Spent};
 use streamsplat_model::Precision;
 
 use super::Clock;
 use super::front::front;
-use crate::passage::{Models, Variant, against, gap_name, mean_square_error, truths};
-use crate::timing::{Seconds, Spent};
 
 /// Frames of the check before anything is timed.
 const CHECKED: usize = 3;

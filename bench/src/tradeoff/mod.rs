@@ -26,12 +26,12 @@ use streamsplat::Settings;
 use streamsplat::fit::Fit;
 use streamsplat::gap::Gap;
 use streamsplat::stream::{ModelSource, Reuse};
+use streamsplat_bench::Common;
+use streamsplat_bench::machine::cpu;
+use streamsplat_bench::passage::{once_each, read};
 use streamsplat_model::Precision;
 
-use crate::Common;
-use crate::machine::cpu;
 use crate::model::Which;
-use crate::passage::read;
 
 /// Options of `tradeoff`.
 #[derive(Args)]
@@ -181,17 +181,6 @@ impl Options {
     }
 }
 
-/// The values in their order, each once; `first` before them.
-pub(crate) fn once_each<T: Copy + PartialEq>(first: T, others: &[T]) -> Vec<T> {
-    let mut all = vec![first];
-    for &other in others {
-        if !all.contains(&other) {
-            all.push(other);
-        }
-    }
-    all
-}
-
 pub(crate) fn run(options: &Options) -> Result<()> {
     let default = || PathBuf::from("fixtures/clips/moving.y4m");
     let input = options.input.clone().unwrap_or_else(default);
@@ -280,6 +269,6 @@ fn write(options: &Options, results: &Results) -> Result<()> {
         file("tradeoff.svg", &plot::svg(results)?)?;
     }
     file("tradeoff.md", &markdown)?;
-    crate::write_json(&options.out.join("tradeoff.json"), results)?;
+    streamsplat_bench::write_json(&options.out.join("tradeoff.json"), results)?;
     options.common.write(results)
 }

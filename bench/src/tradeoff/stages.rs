@@ -4,13 +4,13 @@ use anyhow::{Context, Result, ensure};
 use serde::Serialize;
 use streamsplat::fit::{Fit, Placement};
 use streamsplat::source::TimedPicture;
+use streamsplat_bench::timing::{Seconds, Spent, Stopwatch};
 use streamsplat_kernels::Level;
 use streamsplat_model::{LoadOptions, Precision};
 use streamsplat_tests::reference::{self, Inputs, Sizes, Tensors};
 
 use super::Yardstick;
 use crate::model::{Model, Which};
-use crate::timing::{Seconds, Spent, Stopwatch};
 
 /// Distance of the two compared frames, where the clip has that many.
 const APART: usize = 4;

@@ -7,6 +7,7 @@
 use anyhow::{Context, Result, ensure};
 use serde::Serialize;
 use streamsplat::source::TimedPicture;
+use streamsplat_bench::timing::{Seconds, Spent, Stopwatch};
 use streamsplat_kernels::Level;
 use streamsplat_model::reuse::Saving;
 use streamsplat_model::{
@@ -16,7 +17,6 @@ use streamsplat_tests::reference;
 
 use super::stages::{fitted, widen};
 use crate::model::{Model, Which};
-use crate::timing::{Seconds, Spent, Stopwatch};
 
 /// Shares of the patches that change. Errors are those of the first.
 const SHARES: [f64; 3] = [0.05, 0.01, 0.2];

@@ -2,9 +2,10 @@
 
 use std::fmt::Write;
 
+use streamsplat_bench::table::{Column, Table};
+use streamsplat_bench::timing::Seconds;
+
 use super::{Results, Yardstick};
-use crate::table::{Column, Table};
-use crate::timing::Seconds;
 
 const HEAD: &str = "precision,reuse,gap,resolution,keys,seconds_per_frame,wall_min,wall_median,wall_max,processor_min,processor_median,\
 processor_max,relative_l2,worst,psnr_vs_f32,psnr_vs_truth,pareto\n";

@@ -14,7 +14,7 @@ use std::process::ExitCode;
 
 use clap::error::{ContextKind, ErrorKind};
 
-use command::{bench, compare, eval, export, forward, golden, inspect, manual, render, splat, track, verify, view};
+use command::{bench, compare, eval, export, golden, inspect, manual, render, track, verify, view};
 pub use console::failure::Failure;
 pub use console::version::commit;
 use console::{print, trace};
@@ -42,8 +42,6 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Run(args) => command::run::command(args, &cli.console),
         Command::Render(args) => render::command(args, &cli.console),
         Command::Eval(args) => eval::command(args, &cli.console),
-        Command::Forward(args) => forward::command(args),
-        Command::Splat(args) => splat::command(args),
         Command::Inspect(args) => inspect::command(args, &cli.console),
         Command::Export(args) => export::command(args, &cli.console),
         Command::Track(args) => track::command(args, &cli.console),
@@ -103,7 +101,8 @@ fn one_line(error: &clap::Error) -> String {
         words.remove(0);
     }
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
-        let commands = "run, render, eval, forward, splat, inspect, export, track, view, bench, verify, compare, golden, completions, man";
+        let commands =
+            "run, render, eval, inspect, export, track, view, bench, verify, compare, golden, completions, man";
         return format!("expected a command ({commands}); see streamsplat --help");
     }
     if let (ErrorKind::ValueValidation, Some(option), Some(cause)) =

@@ -7,52 +7,20 @@
 //!
 //! Resizing is bilinear with half-pixel centres and no antialiasing (model input, StreamSplat (ICLR 2026)).
 
-use std::fmt;
 use std::ops::Range;
-use std::str::FromStr;
 
 use streamsplat_kernels::{Level, resize};
 
-/// How a frame is resized to the model's input.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Fit {
-    /// Keeps the frame's shape; repeats the content's edge into the border.
-    #[default]
-    Letterbox,
-    /// Scales both axes independently.
-    Stretch,
-}
+use crate::stream::settings::named;
 
-/// A name that is not a fit's.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("unknown fit {0:?}: expected letterbox or stretch")]
-pub struct UnknownFit(pub String);
-
-impl FromStr for Fit {
-    type Err = UnknownFit;
-
-    fn from_str(name: &str) -> Result<Self, Self::Err> {
-        match name {
-            "letterbox" => Ok(Fit::Letterbox),
-            "stretch" => Ok(Fit::Stretch),
-            _ => Err(UnknownFit(name.to_owned())),
-        }
-    }
-}
-
-impl fmt::Display for Fit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl Fit {
-    /// The name that [`Fit::from_str`] parses.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Fit::Letterbox => "letterbox",
-            Fit::Stretch => "stretch",
-        }
+named! {
+    /// How a frame is resized to the model's input.
+    Fit: "fit" {
+        /// Keeps the frame's shape; repeats the content's edge into the border.
+        #[default]
+        Letterbox = "letterbox",
+        /// Scales both axes independently.
+        Stretch = "stretch",
     }
 }
 

@@ -80,7 +80,7 @@ impl Limits {
 ///
 /// # Errors
 /// The system's error; a longer file; memory that cannot be allocated.
-pub fn read_file(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+pub(crate) fn read_file(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let file = File::open(path)?;
     let size = file.metadata()?.len();
     let longer = |found: &str| {
@@ -97,10 +97,10 @@ pub fn read_file(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     if bytes.len() as u64 > most { Err(longer("more")) } else { Ok(bytes) }
 }
 
-/// Reads text as [`read_file`] reads bytes.
+/// Reads text of at most `most` bytes. Memory grows with the bytes read.
 ///
 /// # Errors
-/// As there, and bytes that are not UTF-8.
+/// The system's error; a longer file; memory that cannot be allocated; bytes that are not UTF-8.
 pub fn read_text(path: &Path, most: u64) -> io::Result<String> {
     let bytes = read_file(path, most)?;
     String::from_utf8(bytes).map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e.utf8_error()))

@@ -7,7 +7,7 @@ use streamsplat_kernels::raster::ALPHA_MIN;
 use crate::stream::{Handover, Interval, Record, Reference};
 
 /// The first line.
-pub const HEADER: &str = "identity,birth,time,x,y,world_x,world_y,world_z,opacity,into";
+const HEADER: &str = "identity,birth,time,x,y,world_x,world_y,world_z,opacity,into";
 
 /// Returns a line for every identity in the scene at the interval's end, ascending in identity. It has the identity,
 /// the key frame where it first appeared, the time in seconds, its tracked point in the source's image (pixel centres

@@ -4,21 +4,29 @@
 //! [`create_folder`] refuse links. Data survive a power loss once synced: a file's bytes by [`Output::sync`], the names
 //! in a folder by [`sync_folder`].
 //!
-//! Tests can make operations of their thread fail, or lose unsynced data: [`faults`].
+//! The crate's tests can make operations of their thread fail, or lose unsynced data.
 
 use std::fs::{File, Metadata};
 use std::io::{self, Read, Seek, SeekFrom, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-pub mod faults;
+#[cfg(test)]
+pub(crate) mod faults;
 
-use faults::Change;
+/// Calls a function of `faults` before an operation, in tests alone.
+macro_rules! in_tests {
+    ($($call:tt)*) => {
+        #[cfg(test)]
+        faults::$($call)*;
+    };
+}
 
 /// A file being written.
 #[derive(Debug)]
 pub struct Output {
     file: File,
-    path: PathBuf,
+    #[cfg(test)]
+    path: std::path::PathBuf,
 }
 
 impl Output {
@@ -27,9 +35,9 @@ impl Output {
     /// # Errors
     /// The system's.
     pub fn sync(&self) -> io::Result<()> {
-        faults::step()?;
+        in_tests!(step()?);
         self.file.sync_all()?;
-        faults::synced(&self.path);
+        in_tests!(synced(&self.path));
         Ok(())
     }
 
@@ -38,7 +46,7 @@ impl Output {
     /// # Errors
     /// The system's.
     pub fn cut(&mut self, length: u64) -> io::Result<()> {
-        faults::step()?;
+        in_tests!(step()?);
         self.file.set_len(length)?;
         self.file.seek(SeekFrom::Start(length)).map(drop)
     }
@@ -46,10 +54,8 @@ impl Output {
 
 impl Write for Output {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let bytes = match faults::write_step()? {
-            faults::Room::Enough => bytes,
-            faults::Room::Half => &bytes[..bytes.len().div_ceil(2)],
-        };
+        #[cfg(test)]
+        let bytes = faults::write_step(bytes)?;
         self.file.write(bytes)
     }
 
@@ -72,10 +78,13 @@ pub fn create(path: &Path) -> io::Result<Output> {
     if exists(path) {
         remove(path)?;
     }
-    faults::step()?;
+    in_tests!(change(|| faults::Change::Created(path.to_owned()))?);
     let file = File::options().write(true).create_new(true).open(path)?;
-    faults::changed(|| Change::Created(path.to_owned()));
-    Ok(Output { file, path: path.to_owned() })
+    Ok(Output {
+        file,
+        #[cfg(test)]
+        path: path.to_owned(),
+    })
 }
 
 /// Opens a regular file for reading and appending.
@@ -84,23 +93,13 @@ pub fn create(path: &Path) -> io::Result<Output> {
 /// The system's; anything that is not a regular file, such as a link.
 pub fn reopen(path: &Path) -> io::Result<Output> {
     regular(path)?;
-    faults::step()?;
+    in_tests!(reopen(path)?);
     let file = File::options().read(true).write(true).open(path)?;
-    faults::reopened(path, file.metadata()?.len());
-    Ok(Output { file, path: path.to_owned() })
-}
-
-/// Registers a file that another program has written since it was [created](create). A fault truncates it to half, as a
-/// program leaves it that misses the error.
-///
-/// # Errors
-/// The system's.
-pub fn foreign(path: &Path) -> io::Result<()> {
-    if let faults::Room::Half = faults::foreign_step()? {
-        let file = File::options().write(true).open(path)?;
-        file.set_len(file.metadata()?.len() / 2)?;
-    }
-    Ok(())
+    Ok(Output {
+        file,
+        #[cfg(test)]
+        path: path.to_owned(),
+    })
 }
 
 /// Renames the file `from` to `to`, in the same folder.
@@ -108,11 +107,8 @@ pub fn foreign(path: &Path) -> io::Result<()> {
 /// # Errors
 /// The system's.
 pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
-    faults::step()?;
-    let change = faults::before(|| Change::renamed(from, to));
-    std::fs::rename(from, to)?;
-    faults::changed_to(change);
-    Ok(())
+    in_tests!(change(|| faults::Change::renamed(from, to))?);
+    std::fs::rename(from, to)
 }
 
 /// Removes a file, or a link itself.
@@ -121,11 +117,8 @@ pub fn rename(from: &Path, to: &Path) -> io::Result<()> {
 /// The system's.
 pub fn remove(path: &Path) -> io::Result<()> {
     std::fs::symlink_metadata(path)?;
-    faults::step()?;
-    let change = faults::before(|| Change::removed(path));
-    std::fs::remove_file(path)?;
-    faults::changed_to(change);
-    Ok(())
+    in_tests!(change(|| faults::Change::removed(path))?);
+    std::fs::remove_file(path)
 }
 
 /// Creates a folder in an existing one; an existing folder of that name is kept.
@@ -137,10 +130,8 @@ pub fn create_folder(path: &Path) -> io::Result<()> {
         Ok(found) if found.is_dir() => Ok(()),
         Ok(found) => Err(io::Error::other(format!("expected a folder, found {}", kind(&found)))),
         Err(_) => {
-            faults::step()?;
-            std::fs::create_dir(path)?;
-            faults::changed(|| Change::FolderCreated(path.to_owned()));
-            Ok(())
+            in_tests!(change(|| faults::Change::FolderCreated(path.to_owned()))?);
+            std::fs::create_dir(path)
         }
     }
 }
@@ -150,10 +141,8 @@ pub fn create_folder(path: &Path) -> io::Result<()> {
 /// # Errors
 /// The system's.
 pub fn remove_folder(path: &Path) -> io::Result<()> {
-    faults::step()?;
-    std::fs::remove_dir(path)?;
-    faults::changed(|| Change::FolderRemoved(path.to_owned()));
-    Ok(())
+    in_tests!(change(|| faults::Change::FolderRemoved(path.to_owned()))?);
+    std::fs::remove_dir(path)
 }
 
 /// Waits until the names in a folder would survive a power loss. Does nothing on systems without such an operation.
@@ -161,7 +150,7 @@ pub fn remove_folder(path: &Path) -> io::Result<()> {
 /// # Errors
 /// The system's.
 pub fn sync_folder(path: &Path) -> io::Result<()> {
-    faults::step()?;
+    in_tests!(step()?);
     let path = if path.as_os_str().is_empty() { Path::new(".") } else { path };
     if cfg!(unix) {
         match File::open(path)?.sync_all() {
@@ -169,7 +158,7 @@ pub fn sync_folder(path: &Path) -> io::Result<()> {
             _ => {}
         }
     }
-    faults::synced_folder(path);
+    in_tests!(synced_folder(path));
     Ok(())
 }
 

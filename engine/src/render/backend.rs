@@ -1,37 +1,25 @@
 //! Drawing backends: the CPU's rasteriser, or a graphics card.
 
-use std::fmt;
-use std::str::FromStr;
-
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{self, Gaussians, Image, Projection, Request, Work};
 
 use super::RenderError;
+use crate::stream::settings::named;
 #[cfg(feature = "wgpu")]
 use crate::wgpu::WgpuRasteriser;
 
-/// A drawing backend.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Backend {
-    /// The CPU's rasteriser: images are within the bit contract.
-    #[default]
-    Cpu,
-    /// A graphics card (cargo feature `wgpu`): images are outside of the bit contract.
-    Wgpu,
+named! {
+    /// A drawing backend.
+    Backend: "renderer" {
+        /// The CPU's rasteriser: images are within the bit contract.
+        #[default]
+        Cpu = "cpu",
+        /// A graphics card (cargo feature `wgpu`): images are outside of the bit contract.
+        Wgpu = "wgpu",
+    }
 }
 
 impl Backend {
-    /// Both backends.
-    pub const ALL: &'static [Backend] = &[Backend::Cpu, Backend::Wgpu];
-
-    /// Its name in options and records.
-    pub fn name(self) -> &'static str {
-        match self {
-            Backend::Cpu => "cpu",
-            Backend::Wgpu => "wgpu",
-        }
-    }
-
     /// Returns true if this library was built with the backend.
     pub fn is_built_in(self) -> bool {
         match self {
@@ -43,21 +31,6 @@ impl Backend {
     /// Returns true if its images are bit-identical everywhere.
     pub fn is_within_contract(self) -> bool {
         self == Backend::Cpu
-    }
-}
-
-impl fmt::Display for Backend {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for Backend {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let found = Self::ALL.iter().find(|backend| backend.name() == text);
-        found.copied().ok_or_else(|| format!("expected cpu or wgpu, found {text:?}"))
     }
 }
 

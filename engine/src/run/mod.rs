@@ -35,6 +35,8 @@ mod observer;
 pub mod options;
 pub mod outputs;
 pub mod place;
+#[cfg(test)]
+mod power;
 pub mod record;
 pub mod report;
 mod resume_state;

@@ -38,9 +38,9 @@ use serde::{Deserialize, Serialize};
 use crate::fit::Placement;
 use crate::output::OutputError;
 pub use crate::recognise::{CONTAINER_MAGIC as MAGIC, SCENE_INDEX as INDEX};
+pub use container::{CONTAINER_VERSION, ContainerWriter, intervals_from_container};
 #[cfg(feature = "viewer")]
 pub(crate) use container::{ImageChunks, coarseness};
-pub use container::{CONTAINER_VERSION, ContainerWriter, intervals_from_container};
 pub use interval::{from_safetensors, to_safetensors};
 pub use join::{Join, Joined};
 pub use read::Scene;

@@ -7,7 +7,6 @@ mod header;
 mod storage;
 mod torch;
 mod weights;
-mod write;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -17,7 +16,6 @@ pub use header::{Dtype, TensorInfo};
 pub use storage::Storage;
 pub use torch::is_archive as is_torch_archive;
 pub(crate) use weights::Weights;
-pub use write::write;
 
 use crate::ModelError;
 use crate::error::first_non_finite;

@@ -1,4 +1,4 @@
-"""Training minimises images like those of the program: this rasteriser against `streamsplat splat`."""
+"""Training minimises images like those of the program: this rasteriser against `splat` of the crate streamsplat-tests."""
 import math
 import os
 import pathlib
@@ -11,19 +11,19 @@ from safetensors.torch import load_file, save_file
 
 from train.rasteriser import render, render_turned
 
-PROGRAM = pathlib.Path(os.environ.get('STREAMSPLAT', HERE.parents[3] / 'target/release/streamsplat'))
+PROGRAM = pathlib.Path(os.environ.get('STREAMSPLAT_SPLAT', HERE.parents[3] / 'target/release/splat'))
 
 
 def drawn_by_the_program(folder, xyz, scale, opacity, rgb, background, H, W, degrees=0.0, pivot=0.0):
     """World-space Gaussians of one image in view space (right x, down -z, forward depth), turned around the vertical at `pivot`, through the program."""
-    assert PROGRAM.exists(), f'{PROGRAM} is not built: cargo build --release, or name it in STREAMSPLAT'
+    assert PROGRAM.exists(), f'{PROGRAM} is not built: cargo build --release -p streamsplat-tests --bin splat, or name it in STREAMSPLAT_SPLAT'
     depth = 1 / (9.8 * xyz[:, 1] + 0.2 + 1e-6)
     n, c, s, half = len(xyz), math.cos(math.radians(degrees)), math.sin(math.radians(degrees)), math.radians(degrees) / 2
     mean = torch.stack([c * xyz[:, 0] - s * (depth - pivot), -xyz[:, 2], pivot + s * xyz[:, 0] + c * (depth - pivot)], -1)
     save_file(dict(mean=mean, scale=torch.cat([scale, scale.mean(-1, keepdim=True)], -1),
                    quat=torch.tensor([math.cos(half), 0, -math.sin(half), 0]).repeat(n, 1), opacity=opacity, rgb=rgb, background=background,
                    focal=torch.tensor([W / 2, H / 2]), size=torch.tensor([H, W])), str(folder / 'scene.safetensors'))
-    subprocess.run([PROGRAM, 'splat', '--quiet', folder / 'scene.safetensors', folder / 'image.safetensors'], check=True)
+    subprocess.run([PROGRAM, folder / 'scene.safetensors', folder / 'image.safetensors'], check=True)
     return load_file(str(folder / 'image.safetensors'))
 
 

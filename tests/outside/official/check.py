@@ -2,9 +2,10 @@
 
 usage: check.py STREAMSPLAT SOURCE WORK CLIP [--paper] [--flip]
 
-STREAMSPLAT is the program, SOURCE the unpacked source of `streamsplat` 0.1.4 from PyPI, WORK a folder for files, CLIP a small video. Every file of weights is
-written by the library of its format: torch.save, safetensors, timm and transformers. --paper compares the network's tensors at the paper's size, and nothing
-else. --flip flips a bit of one weight in the network's files that the program reads: then every comparison of the network must fail.
+STREAMSPLAT is the program, with `forward` of the crate streamsplat-tests in the same folder. SOURCE is the unpacked source of `streamsplat` 0.1.4 from PyPI,
+WORK a folder for files, CLIP a small video. Every file of weights is written by the library of its format: torch.save, safetensors, timm and transformers.
+--paper compares the network's tensors at the paper's size, and nothing else. --flip flips a bit of one weight in the network's files that the program reads:
+then every comparison of the network must fail.
 """
 
 import io
@@ -62,10 +63,10 @@ def relative(found, expected):
 
 
 def forward(model, inputs, name):
-    """`streamsplat forward`: the program's tensors for these inputs."""
+    """The model's tensors for these inputs, by the tests' program `forward`."""
     save_file({k: v.contiguous() for k, v in inputs.items()}, work / f'{name}.in.safetensors')
     out = work / f'{name}.out.safetensors'
-    subprocess.run([streamsplat, 'forward', '--model', model, '--input', work / f'{name}.in.safetensors', '--output', out, '--quiet'], check=True)
+    subprocess.run([Path(streamsplat).with_name('forward'), model, work / f'{name}.in.safetensors', out], check=True)
     return load_file(out)
 
 

@@ -1,7 +1,7 @@
 //! The whole network on the parity data, in every kind of configuration.
 
+use crate::forward::forward;
 use streamsplat_model::checkpoint::Checkpoint;
-use streamsplat_model::forward::forward;
 use streamsplat_model::{LoadOptions, Network, Precision};
 
 use super::Thing;

@@ -1,6 +1,6 @@
 //! The rasteriser on the oracle's scenes.
 
-use streamsplat::splats::Splats;
+use crate::splats::Splats;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{
     ColourFit, ColourMap, Drawing, Effort, FitView, FootprintGradient, Image, Projection, Solution, WorldGradients,

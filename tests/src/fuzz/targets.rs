@@ -4,13 +4,13 @@ use std::io::Cursor;
 use std::path::Path;
 use std::sync::LazyLock;
 
+use crate::splats::Splats;
 use streamsplat::camera::{Pose, file};
 use streamsplat::fit::Placement;
 use streamsplat::formats::cameras::{self, CameraSet};
 use streamsplat::render::Renderer;
 use streamsplat::scene::{Index, from_safetensors, intervals_from_container, to_safetensors};
 use streamsplat::source::{decode, y4m::Y4m};
-use streamsplat::splats::Splats;
 use streamsplat::still::{Drawable, Still};
 use streamsplat::stream::Workers;
 use streamsplat::{Camera, Image, RenderOptions, Size, depth, formats, onnx};

@@ -17,10 +17,10 @@ use anyhow::{Context, Result, bail, ensure};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use streamsplat::folder;
+use streamsplat_bench::machine::cpu;
 
 use super::Options;
 use super::front::front;
-use crate::machine::cpu;
 
 /// Loss in dB that is allowed for a higher quality on a clip.
 const TOLERANCE: f64 = 0.05;
@@ -101,7 +101,7 @@ pub(super) fn run(options: &Options, clips: &Path) -> Result<()> {
     let write =
         |path: PathBuf, text: &str| std::fs::write(&path, text).with_context(|| format!("writing {}", path.display()));
     if options.record.is_none() {
-        crate::write_json(&options.out.join("tradeoff-clips.json"), &record)?;
+        streamsplat_bench::write_json(&options.out.join("tradeoff-clips.json"), &record)?;
     }
     options.common.write(&record)?;
     let svg = plot::svg(&record)?;

@@ -1,9 +1,9 @@
 //! The table of a page.
 
 use anyhow::{Context, Result};
+use streamsplat_bench::table::{Column, Table};
 
 use super::{Configuration, Reason, Record};
-use crate::table::{Column, Table};
 
 /// Markers before and after the table.
 const BEGIN: &str = "<!-- streamsplat bench tradeoff CLIPS writes from here -->";

@@ -4,15 +4,11 @@ pub mod bench;
 pub mod compare;
 pub mod eval;
 pub mod export;
-pub mod forward;
 pub mod golden;
 pub mod inspect;
 pub mod manual;
-#[cfg(test)]
-mod power;
 pub mod render;
 pub mod run;
-pub mod splat;
 pub mod still;
 pub mod track;
 pub mod verify;

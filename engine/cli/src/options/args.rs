@@ -12,7 +12,6 @@ use streamsplat::render::Backend;
 use streamsplat::run::options::{self, Machine, Motion, NamedMatrix, RunOptions, StreamOptions, Times, ViewOptions};
 use streamsplat::run::outputs::Emit;
 use streamsplat::still::Axes;
-use streamsplat_model::Precision;
 
 use crate::console::Console;
 use crate::console::failure::Failure;
@@ -65,10 +64,6 @@ pub enum Command {
     Render(Box<RenderArgs>),
     /// Key frames in, the frames between held out: PSNR and SSIM of the scene and of simple baselines
     Eval(Box<EvalArgs>),
-    /// A model on tensors: every intermediate result of one pair of frames
-    Forward(ForwardArgs),
-    /// Draw the Gaussians of a safetensors file
-    Splat(SplatArgs),
     /// A model or a scene: sizes, parts, digests, cost
     Inspect(InspectArgs),
     /// A scene in a format that viewers read, one file per time, or as one compressed file
@@ -270,36 +265,6 @@ pub struct EvalArgs {
     /// Write the figures here
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
-}
-
-#[derive(Args, Clone)]
-pub struct ForwardArgs {
-    /// Checkpoint (a StreamSplat model or a DINOv2 file)
-    #[arg(long, value_name = "FILE")]
-    pub model: PathBuf,
-    /// Tensors in.frames, in.depths and in.condition; or in.frame for DINOv2
-    #[arg(long, value_name = "FILE")]
-    pub input: PathBuf,
-    /// File for the tensors out.*
-    #[arg(long, value_name = "FILE")]
-    pub output: PathBuf,
-    /// Arithmetic of the large matrix products: f32, bf16 or int8
-    #[arg(long, value_name = "MODE", default_value_t = Precision::F32)]
-    pub precision: Precision,
-    #[command(flatten)]
-    pub machine: Machine,
-}
-
-#[derive(Args, Clone)]
-pub struct SplatArgs {
-    /// Tensors mean, scale, quat, opacity, rgb in view space; size, background, and focal or intrinsics
-    pub scene: PathBuf,
-    /// File for rgb, depth, alpha, final_T and blended
-    pub out: PathBuf,
-    #[command(flatten)]
-    pub limit: Limit,
-    #[command(flatten)]
-    pub machine: Machine,
 }
 
 #[derive(Args, Clone)]

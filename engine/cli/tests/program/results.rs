@@ -323,65 +323,6 @@ fn images(folder: &Path) -> Vec<std::path::PathBuf> {
 }
 
 #[test]
-fn forward_gives_every_tensor_of_the_reference() {
-    let scratch = Scratch::new();
-    let out = scratch.path("o.safetensors");
-    let input = fixtures::path("parity/tiny-nodino.io.safetensors");
-    let output = command()
-        .arg("forward")
-        .arg("--model")
-        .arg(model())
-        .arg("--input")
-        .arg(&input)
-        .arg("--output")
-        .arg(&out)
-        .args(["--threads", "2"])
-        .output()
-        .expect("the program starts");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let (expected, found) = (std::fs::read(input).expect("readable"), std::fs::read(out).expect("readable"));
-    let expected = safetensors::SafeTensors::deserialize(&expected).expect("valid");
-    let found = safetensors::SafeTensors::deserialize(&found).expect("valid");
-    let mut compared = 0;
-    for (name, tensor) in expected.tensors().iter().filter(|(name, _)| name.starts_with("out.")) {
-        let ours = found.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}"));
-        assert_eq!(ours.shape(), tensor.shape(), "{name}");
-        let floats = |bytes: &[u8]| -> Vec<f64> {
-            bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect()
-        };
-        let (a, b) = (floats(ours.data()), floats(tensor.data()));
-        let error: f64 = a.iter().zip(&b).map(|(a, b)| (a - b) * (a - b)).sum();
-        let norm: f64 = b.iter().map(|b| b * b).sum();
-        assert!((error / norm).sqrt() < 3e-6, "{name}: {}", (error / norm).sqrt());
-        compared += 1;
-    }
-    assert_eq!(compared, 11);
-}
-
-#[test]
-fn splat_draws_the_oracles_scene() {
-    let scratch = Scratch::new();
-    let out = scratch.path("o.safetensors");
-    let scene = fixtures::path("oracle/rotated-orthographic.safetensors");
-    let output = command().arg("splat").arg(&scene).arg(&out).output().expect("the program starts");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let (expected, found) = (std::fs::read(scene).expect("readable"), std::fs::read(out).expect("readable"));
-    let expected = safetensors::SafeTensors::deserialize(&expected).expect("valid");
-    let found = safetensors::SafeTensors::deserialize(&found).expect("valid");
-    let truth = expected.tensor("out.rgb").expect("the oracle's image");
-    let ours = found.tensor("rgb").expect("an image");
-    assert_eq!(ours.shape(), truth.shape());
-    let truth: Vec<f64> = match truth.dtype() {
-        safetensors::Dtype::F64 => truth.data().as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
-        _ => truth.data().as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
-    };
-    for (found, expected) in ours.data().as_chunks::<4>().0.iter().zip(truth) {
-        assert!((f64::from(f32::from_le_bytes(*found)) - expected).abs() <= 2e-5);
-    }
-    assert_eq!(found.tensor("blended").expect("a count").dtype(), safetensors::Dtype::I32);
-}
-
-#[test]
 fn inspect_tells_sizes_of_models_and_scenes() {
     let scratch = Scratch::new();
     let report = scratch.path("i.json");

@@ -4,13 +4,14 @@ use std::sync::{Mutex, OnceLock};
 
 use streamsplat::camera::{Camera, Pose};
 use streamsplat::render::{Backend, Renderer};
-use streamsplat::splats::Splats;
+
 use streamsplat::stream::Workers;
 use streamsplat::wgpu::WgpuRasteriser;
 use streamsplat::{Engine, Frame, Image, RenderOptions, Settings, Size};
 use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Gaussians, Projection, Request, render};
+use streamsplat_tests::splats::Splats;
 
 /// One device for all tests.
 fn device() -> &'static Mutex<WgpuRasteriser> {

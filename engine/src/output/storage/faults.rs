@@ -1,4 +1,4 @@
-//! Faults for tests: operations that fail, and power losses.
+//! Faults for the crate's tests: operations that fail, and power losses.
 //!
 //! Nothing happens outside of [`inject`], which affects only the calling thread. A power loss is simulated as the worst
 //! case of a file system: from one operation on everything fails, and then all unsynced data are lost. File systems
@@ -8,12 +8,13 @@
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
 /// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
+pub(crate) enum Fault {
     /// One operation fails: there is no room (ENOSPC).
     NoSpace,
     /// One operation fails: a device error (EIO).
@@ -27,7 +28,7 @@ pub enum Fault {
 }
 
 /// Room for a write: all of its bytes, or half of them.
-pub(super) enum Room {
+enum Room {
     Enough,
     Half,
 }
@@ -99,12 +100,16 @@ fn with<T>(f: impl FnOnce(&mut Plan) -> T) -> Option<T> {
 
 /// Runs `work` with `fault` at this operation of the thread, counted from 1; returns its result and the number of
 /// operations. Data lost by a power loss are removed before it returns.
-pub fn inject<T>(fault: Option<(Fault, u64)>, work: impl FnOnce() -> T) -> (T, u64) {
+pub(crate) fn inject<T>(fault: Option<(Fault, u64)>, work: impl FnOnce() -> T) -> (T, u64) {
     inject_with(fault, None, work)
 }
 
 /// As [`inject`], with another program instead of ffmpeg.
-pub fn inject_with<T>(fault: Option<(Fault, u64)>, ffmpeg: Option<PathBuf>, work: impl FnOnce() -> T) -> (T, u64) {
+pub(crate) fn inject_with<T>(
+    fault: Option<(Fault, u64)>,
+    ffmpeg: Option<PathBuf>,
+    work: impl FnOnce() -> T,
+) -> (T, u64) {
     let plan =
         Plan { fault, ffmpeg, operations: 0, dead: false, short: false, files: BTreeMap::new(), changes: Vec::new() };
     PLAN.set(Some(plan));
@@ -121,7 +126,7 @@ impl Plan {
     fn lose(self) {
         for (path, length) in &self.files {
             // A file that was removed since has no bytes to lose.
-            let _ = std::fs::File::options().write(true).open(path).and_then(|file| {
+            let _ = File::options().write(true).open(path).and_then(|file| {
                 let shorter = file.metadata()?.len() > *length;
                 if shorter { file.set_len(*length) } else { Ok(()) }
             });
@@ -160,43 +165,42 @@ pub(super) fn step() -> io::Result<()> {
     with(|plan| plan.step(false)).unwrap_or(Ok(Room::Enough)).map(drop)
 }
 
-/// As [`step`], for a write.
-pub(super) fn write_step() -> io::Result<Room> {
-    with(|plan| plan.step(true)).unwrap_or(Ok(Room::Enough))
+/// As [`step`], for a write: the bytes for which there is room.
+pub(super) fn write_step(bytes: &[u8]) -> io::Result<&[u8]> {
+    Ok(match with(|plan| plan.step(true)).unwrap_or(Ok(Room::Enough))? {
+        Room::Enough => bytes,
+        Room::Half => &bytes[..bytes.len().div_ceil(2)],
+    })
 }
 
-/// As [`step`], for a file that another program wrote: a full disk or a failing device truncates it without an error.
-pub(super) fn foreign_step() -> io::Result<Room> {
-    with(|plan| match plan.step(true) {
+/// Registers a file that another program has written since it was [created](super::create). A fault truncates it to
+/// half, as a program leaves it that misses the error.
+pub(crate) fn foreign(path: &Path) -> io::Result<()> {
+    let room = with(|plan| match plan.step(true) {
         Err(_) if !plan.dead => Ok(Room::Half),
         // A short write truncates the file as well; the next operation does not fail.
         room => {
             plan.short = false;
             room
         }
-    })
-    .unwrap_or(Ok(Room::Enough))
+    });
+    if let Room::Half = room.unwrap_or(Ok(Room::Enough))? {
+        let file = File::options().write(true).open(path)?;
+        file.set_len(file.metadata()?.len() / 2)?;
+    }
+    Ok(())
 }
 
 /// The program that encodes videos.
-pub fn ffmpeg() -> PathBuf {
+pub(crate) fn ffmpeg() -> PathBuf {
     with(|plan| plan.ffmpeg.clone()).flatten().unwrap_or_else(|| PathBuf::from("ffmpeg"))
 }
 
-/// A change to be recorded, before it is made; `None` outside of [`inject`].
-pub(super) fn before(change: impl FnOnce() -> Change) -> Option<Change> {
-    PLAN.with_borrow(Option::is_some).then(change)
-}
-
-/// Records a change after it was made.
-pub(super) fn changed(change: impl FnOnce() -> Change) {
-    changed_to(before(change));
-}
-
-/// As [`changed`], for the result of [`before`].
-pub(super) fn changed_to(change: Option<Change>) {
-    let Some(change) = change else { return };
+/// As [`step`], for a change of names, which is recorded before it is made.
+pub(super) fn change(change: impl FnOnce() -> Change) -> io::Result<()> {
     with(|plan| {
+        plan.step(false)?;
+        let change = change();
         match &change {
             Change::Created(path) => {
                 plan.files.insert(path.clone(), 0);
@@ -214,7 +218,9 @@ pub(super) fn changed_to(change: Option<Change>) {
             Change::FolderCreated(_) | Change::FolderRemoved(_) => {}
         }
         plan.changes.push(change);
-    });
+        Ok(())
+    })
+    .unwrap_or(Ok(()))
 }
 
 /// Marks a file's bytes as synced; later writes are not.
@@ -222,11 +228,14 @@ pub(super) fn synced(path: &Path) {
     with(|plan| plan.files.insert(path.to_owned(), std::fs::metadata(path).map_or(0, |found| found.len())));
 }
 
-/// Registers that a file of this length is appended to.
-pub(super) fn reopened(path: &Path, length: u64) {
+/// As [`step`], for a file that is appended to.
+pub(super) fn reopen(path: &Path) -> io::Result<()> {
+    step()?;
+    let length = std::fs::metadata(path)?.len();
     with(|plan| {
         plan.files.entry(path.to_owned()).or_insert(length);
     });
+    Ok(())
 }
 
 /// Marks a folder's names as synced.

@@ -63,7 +63,11 @@ pub(super) fn url(path: &Path) -> OsString {
 /// ffmpeg in a separate process group, so that Ctrl-C in the terminal does not stop it before the caller has finished
 /// the file.
 pub(super) fn ffmpeg() -> Command {
-    let mut command = Command::new(storage::faults::ffmpeg());
+    #[cfg(not(test))]
+    let program = "ffmpeg";
+    #[cfg(test)]
+    let program = storage::faults::ffmpeg();
+    let mut command = Command::new(program);
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     command.args(["-nostdin", "-v", "error"]);

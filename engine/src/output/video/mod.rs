@@ -247,7 +247,8 @@ impl Video {
     /// Adds the sound to the pictures in the file `partial` and checks that all frames are there. Returns ffmpeg's
     /// message on the sound, if any.
     fn complete(&self, partial: &Path) -> Result<Option<String>, String> {
-        storage::foreign(partial).map_err(|e| e.to_string())?;
+        #[cfg(test)]
+        storage::faults::foreign(partial).map_err(|e| e.to_string())?;
         let kind = encode::container(&self.path);
         let Some(sound) = &self.sound else { return check::whole(partial, &kind, self.frames).map(|()| None) };
         // Checked before the sound is added, so that faults of the pictures are not reported as faults of the sound.

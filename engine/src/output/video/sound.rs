@@ -42,7 +42,9 @@ impl Sound {
                 let said = said.unwrap_or_else(|| "it gives no reason".into());
                 return Err(format!("{said} (the sound; --no-audio leaves it out)"));
             }
-            storage::foreign(&joined).and_then(|()| storage::rename(&joined, pictures)).map_err(|e| e.to_string())?;
+            #[cfg(test)]
+            storage::faults::foreign(&joined).map_err(|e| e.to_string())?;
+            storage::rename(&joined, pictures).map_err(|e| e.to_string())?;
             Ok(said.map(|said| format!("the sound: {said}")))
         });
         if named.is_err() {

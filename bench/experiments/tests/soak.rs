@@ -5,7 +5,7 @@ use std::process::{Command, Output};
 fn soak(options: &[&str]) -> Output {
     // Such a small process keeps some more pages, and times vary more during other tests; live memory is the same
     // everywhere.
-    Command::new(env!("CARGO_BIN_EXE_streamsplat-bench"))
+    Command::new(env!("CARGO_BIN_EXE_streamsplat-experiments"))
         .args(["soak", "--resident", "1.1", "--slowdown", "1.25", "--key-frames"])
         .args(options)
         .output()

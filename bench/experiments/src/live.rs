@@ -1,8 +1,10 @@
-//! A counting allocator: bytes that this process holds on the heap, without those that the system's allocator keeps for
-//! later.
+//! Memory of this process: bytes on the heap by a counting allocator, without those that the system's allocator keeps
+//! for later, and resident memory.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+
+use anyhow::{Context, Result};
 
 /// Bytes allocated and not freed.
 static HELD: AtomicUsize = AtomicUsize::new(0);
@@ -59,9 +61,25 @@ pub(crate) fn most() -> u64 {
     MOST.load(Relaxed) as u64
 }
 
+/// Bytes of memory that this process holds now, as Linux counts them.
+pub(crate) fn resident_bytes() -> Result<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").context("memory is read from /proc/self/status")?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).context("/proc/self/status has no VmRSS")?;
+    let kilobytes: u64 = line.split_whitespace().next().unwrap_or_default().parse().context("VmRSS")?;
+    Ok(kilobytes * 1024)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn pages_take_memory() {
+        let memory = resident_bytes().expect("Linux");
+        let pages = std::hint::black_box(vec![1u8; 64 << 20]);
+        assert!(resident_bytes().expect("Linux") > memory + (48 << 20));
+        drop(std::hint::black_box(pages));
+    }
 
     #[test]
     fn what_is_held_counts_once_and_what_is_given_back_does_not() {

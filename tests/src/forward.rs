@@ -1,4 +1,5 @@
-//! Runs one pair of frames through the whole network, from named tensors to named tensors.
+//! One pair of frames through the whole network, from named tensors to named tensors: for comparisons with other
+//! implementations. The binary `forward` does it with files.
 //!
 //! | input | output |
 //! |---|---|
@@ -9,9 +10,9 @@
 
 use std::path::Path;
 
-use crate::checkpoint::{self, Checkpoint};
-use crate::config::Settings;
-use crate::{Dino, DinoLayout, FrameInput, LoadOptions, ModelError, Network, Sampling, Side};
+use safetensors::tensor::{Dtype, TensorView};
+use streamsplat_model::checkpoint::Checkpoint;
+use streamsplat_model::{Dino, DinoLayout, FrameInput, LoadOptions, ModelError, Network, Sampling, Side};
 
 /// A named tensor.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,38 +25,30 @@ pub struct Tensor {
     pub values: Vec<f32>,
 }
 
-/// Reads `input`, runs the model at `model` on it and writes `output`.
+/// Runs the model at `model` on the tensors of the file `input`.
 ///
 /// # Errors
-/// When a file cannot be read or written, or the model cannot be loaded, or the inputs do not fit it.
-pub fn forward_file(
-    model: impl AsRef<Path>,
-    input: impl AsRef<Path>,
-    output: impl AsRef<Path>,
-    options: &LoadOptions,
-) -> Result<(), ModelError> {
-    let checkpoint = Checkpoint::open(model.as_ref())?;
-    let settings = Settings::beside(model.as_ref())?;
+/// When a file cannot be read, or the model cannot be loaded, or the inputs do not fit it.
+pub fn forward_file(model: &Path, input: &Path, options: &LoadOptions) -> Result<Vec<Tensor>, ModelError> {
     let input = Checkpoint::open(input)?;
-    let tensors = if DinoLayout::of(&checkpoint).is_some() {
-        let dino = Dino::load(&checkpoint, &settings, options)?;
-        drop(checkpoint);
-        forward_dino(&dino, &input)?
-    } else {
-        let network = Network::load(&checkpoint, &settings, options)?;
-        drop(checkpoint);
-        forward(&network, &input)?
-    };
-    write(output, &tensors)
+    match DinoLayout::of(&Checkpoint::open(model)?) {
+        Some(_) => forward_dino(&Dino::open(model, options)?, &input),
+        None => forward(&Network::open(model, options)?, &input),
+    }
 }
 
-/// Writes tensors as a safetensors file.
+/// Writes named f32 tensors as a safetensors file.
 ///
 /// # Errors
-/// When it cannot be written.
-pub fn write(output: impl AsRef<Path>, tensors: &[Tensor]) -> Result<(), ModelError> {
-    let list: Vec<_> = tensors.iter().map(|t| (t.name.clone(), t.shape.clone(), t.values.as_slice())).collect();
-    checkpoint::write(output, &list)
+/// When it cannot be written, or a shape does not have as many elements as its values.
+pub fn write(path: &Path, tensors: &[(String, Vec<usize>, &[f32])]) -> Result<(), safetensors::SafeTensorError> {
+    let bytes: Vec<Vec<u8>> =
+        tensors.iter().map(|(.., values)| values.iter().flat_map(|x| x.to_le_bytes()).collect()).collect();
+    let mut views = Vec::new();
+    for ((name, shape, _), bytes) in tensors.iter().zip(&bytes) {
+        views.push((name, TensorView::new(Dtype::F32, shape.clone(), bytes)?));
+    }
+    safetensors::serialize_to_file(views, None, path)
 }
 
 /// Every output of the network for a pair of frames.

@@ -16,6 +16,8 @@
 //! threads, by chance, to the system after every step, which costs some per cent (0.90 to 1.05 were measured). Memory
 //! is measured until the young stream starts.
 
+use std::fs::File;
+use std::io::BufWriter;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
@@ -23,13 +25,13 @@ use serde::Serialize;
 use streamsplat::render::Renderer;
 use streamsplat::stream::{Fade, Fusion, Interval, ModelSource, MotionFrom, Workers};
 use streamsplat::{Camera, Engine, Frame, Image, RenderOptions, Settings};
+use streamsplat_bench::table::{Column, Table};
+use streamsplat_bench::{machine, timing};
 use streamsplat_fixtures::clip::{Clip, ClipKind};
 use streamsplat_fixtures::seeded::Sizes;
 use streamsplat_kernels::Level;
 
-use super::{live, machine, process};
-use crate::model::Temporary;
-use crate::table::{Column, Table};
+use crate::live;
 
 /// Key frames after which the pictures are the same again.
 const PERIOD: u64 = 50;
@@ -58,7 +60,7 @@ pub(crate) struct Options {
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Instruction set: scalar, avx2, avx512, avx512vnni, avx512bf16, neon or auto.
-    #[arg(long, default_value = "auto", value_parser = super::level)]
+    #[arg(long, default_value = "auto", value_parser = streamsplat_bench::level)]
     isa: Level,
     /// Threads (0: one per core).
     #[arg(long, default_value_t = 1)]
@@ -181,11 +183,12 @@ impl Measured {
 
     /// Takes key frame `k` and draws the middle of its interval.
     fn step(&mut self, film: &Film, k: u64) -> Result<Interval> {
-        let start = process::cpu_seconds()?;
+        let seconds = || timing::processor_seconds().context("CPU time is read from /proc/self/task");
+        let start = seconds()?;
         let interval = film.push(&mut self.engine, k)?;
         let time = 0.5 * (interval.start + interval.end);
         self.renderer.render(&interval, time, &Camera::Canonical, &RenderOptions::default())?;
-        self.seconds.push(process::cpu_seconds()? - start);
+        self.seconds.push(seconds()? - start);
         Ok(interval)
     }
 
@@ -294,12 +297,14 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         count >= FEWEST && count.is_multiple_of(HUNDRED),
         "--key-frames {count}: expected at least {FEWEST}, and hundreds"
     );
-    let seeded = Temporary::new("soak", |out| sizes().write(31, "model.", out))?;
+    let seeded = tempfile::tempdir().context("a folder for the network")?;
     let (checkpoint, name) = match &options.model {
         Some(file) => (file.clone(), file.file_name().unwrap_or_default().to_string_lossy().into_owned()),
         None => {
-            std::fs::write(seeded.path().with_extension("json"), sizes().json().to_string())?;
-            (seeded.path().to_owned(), "seeded weights".to_owned())
+            let file = seeded.path().join("soak.safetensors");
+            sizes().write(31, "model.", &mut BufWriter::new(File::create(&file)?))?;
+            std::fs::write(file.with_extension("json"), sizes().json().to_string())?;
+            (file, "seeded weights".to_owned())
         }
     };
     let source = ModelSource::File { checkpoint, dinov2: None };
@@ -346,7 +351,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         std::mem::forget(std::hint::black_box(vec![1u8; options.leak]));
         if young.is_none() {
             live.see(live::most());
-            resident.see(process::resident_bytes()?);
+            resident.see(live::resident_bytes()?);
         }
         let key_frame = k + 1;
         if !key_frame.is_multiple_of(PERIOD) {
@@ -420,7 +425,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         beside_young,
         rows,
     };
-    options.json.as_deref().map_or(Ok(()), |path| super::write_json(path, &results))?;
+    options.json.as_deref().map_or(Ok(()), |path| streamsplat_bench::write_json(path, &results))?;
     ensure!(failed == 0, "{failed} checks fail");
     Ok(())
 }

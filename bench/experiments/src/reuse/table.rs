@@ -2,8 +2,9 @@
 
 use std::fmt::Write;
 
+use streamsplat_bench::table::{Column, Table};
+
 use super::{Results, VariantResult};
-use crate::table::{Column, Table};
 
 /// The columns of [`line()`].
 pub(super) const TABLE: Table<'_> = Table(&[

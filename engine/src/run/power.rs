@@ -1,19 +1,17 @@
 //! Power losses, full disks and failing devices at every operation of a short run: `--resume` always ends with the
 //! bytes of an uninterrupted run.
 //!
-//! Every ninth operation by default; `STREAMSPLAT_EVERY=1 cargo test --release -p streamsplat-cli power` tries all.
+//! Every ninth operation by default; `STREAMSPLAT_EVERY=1 cargo test --release -p streamsplat power` tries all.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-#[cfg(unix)]
-use streamsplat::output::storage::faults::inject_with;
-use streamsplat::output::storage::faults::{Fault, inject};
 use streamsplat_fixtures as fixtures;
 
-use crate::command::run;
-use crate::console::failure::Failure;
-use crate::options::args::{Cli, Command};
+use super::{Error, Machine, Record, Run, RunOptions};
+#[cfg(unix)]
+use crate::output::storage::faults::inject_with;
+use crate::output::storage::faults::{Fault, inject};
 
 const FAULTS: [Fault; 5] = [Fault::LosesBytes, Fault::LosesNames, Fault::NoSpace, Fault::Device, Fault::ShortWrite];
 
@@ -31,15 +29,16 @@ fn clip(folder: &Path) -> PathBuf {
     clip
 }
 
-fn attempt(clip: &Path, out: &Path, more: &[&str], fault: Option<(Fault, u64)>) -> (Result<(), Failure>, u64) {
-    let model = fixtures::path("parity/tiny-nodino.safetensors");
-    let mut words: Vec<&std::ffi::OsStr> =
-        ["streamsplat", "run", "--quiet", "--threads", "1"].map(AsRef::as_ref).to_vec();
-    words.extend([clip.as_os_str(), "--out".as_ref(), out.as_os_str(), "--model".as_ref(), model.as_os_str()]);
-    words.extend(more.iter().map(|word| -> &std::ffi::OsStr { word.as_ref() }));
-    let cli = Cli::read(words.into_iter().map(ToOwned::to_owned)).expect("a command");
-    let Command::Run(args) = &cli.command else { panic!("not a run") };
-    inject(fault, || run::command(args, &cli.console))
+/// A run with a small model on one thread.
+fn run(clip: &Path, out: &Path) -> Run {
+    let mut options = RunOptions::default();
+    let model = fixtures::path("parity/tiny-nodino.safetensors").display().to_string();
+    assert!(options.set("model", &model).expect("a value"));
+    Run::new(clip, options).machine(Machine { threads: "1".parse().ok(), ..Machine::default() }).out(out)
+}
+
+fn attempt(clip: &Path, out: &Path, resume: bool, fault: Option<(Fault, u64)>) -> (Result<Record, Error>, u64) {
+    inject(fault, || run(clip, out).resume(resume).finish())
 }
 
 /// Returns all files in and around a folder except reports; records are replaced by their outputs.
@@ -71,7 +70,7 @@ fn sweep(name: &str) {
     let clip = clip(scratch.path());
     let whole = scratch.path().join("whole");
     std::fs::create_dir(&whole).expect("writable");
-    let (result, operations) = attempt(&clip, &whole.join(name), &[], None);
+    let (result, operations) = attempt(&clip, &whole.join(name), false, None);
     result.expect("nothing fails");
     assert!(operations > 50, "{operations} operations");
     let expected = files(&whole);
@@ -79,10 +78,10 @@ fn sweep(name: &str) {
         for at in (1 + i as u64..=operations).step_by(every) {
             let folder = scratch.path().join(format!("{fault:?}-{at}"));
             std::fs::create_dir(&folder).expect("writable");
-            let (_, _) = attempt(&clip, &folder.join(name), &[], Some((fault, at)));
-            let (result, _) = attempt(&clip, &folder.join(name), &["--resume"], None);
+            let (_, _) = attempt(&clip, &folder.join(name), false, Some((fault, at)));
+            let (result, _) = attempt(&clip, &folder.join(name), true, None);
             if let Err(failure) = result {
-                panic!("{fault:?} at {at} of {operations}: {}", failure.message());
+                panic!("{fault:?} at {at} of {operations}: {failure}");
             }
             let found = files(&folder);
             assert_eq!(found.keys().collect::<Vec<_>>(), expected.keys().collect::<Vec<_>>(), "{fault:?} at {at}");
@@ -112,15 +111,11 @@ esac
 
 /// Runs to `video`, where another file exists, with this encoder.
 #[cfg(unix)]
-fn encoded(clip: &Path, video: &Path, encoder: &Path, fault: Option<(Fault, u64)>) -> (Result<(), Failure>, u64) {
+fn encoded(clip: &Path, video: &Path, encoder: &Path, fault: Option<(Fault, u64)>) -> (Result<Record, Error>, u64) {
     std::fs::write(video, "another").expect("writable");
-    let model = fixtures::path("parity/tiny-nodino.safetensors");
-    let mut words: Vec<&std::ffi::OsStr> =
-        ["streamsplat", "run", "--quiet", "--threads", "1", "--emit", "rgb"].map(AsRef::as_ref).to_vec();
-    words.extend([clip.as_os_str(), "--out".as_ref(), video.as_os_str(), "--model".as_ref(), model.as_os_str()]);
-    let cli = Cli::read(words.into_iter().map(ToOwned::to_owned)).expect("a command");
-    let Command::Run(args) = &cli.command else { panic!("not a run") };
-    inject_with(fault, Some(encoder.to_owned()), || run::command(args, &cli.console))
+    let mut run = run(clip, video);
+    assert!(run.options.set("emit", "rgb").expect("a value"));
+    inject_with(fault, Some(encoder.to_owned()), || run.finish())
 }
 
 #[cfg(unix)]
@@ -140,7 +135,7 @@ fn an_encoded_video_replaces_another_whole_or_not_at_all() {
     assert!(writer.wait().expect("a shell").success());
     let whole = scratch.path().join("whole.mp4");
     let (result, operations) = encoded(&clip, &whole, &encoder, None);
-    result.unwrap_or_else(|failure| panic!("{}", failure.message()));
+    result.unwrap_or_else(|failure| panic!("{failure}"));
     let expected = std::fs::read(&whole).expect("there");
     assert!(expected.len() > 5 * 3 * 40 * 24, "{}", expected.len());
     let mut cut = 0;
@@ -153,8 +148,8 @@ fn an_encoded_video_replaces_another_whole_or_not_at_all() {
             let found = std::fs::read(&video).expect("one or the other");
             assert!(found == b"another" || found == expected, "{fault:?} at {at} of {operations}: neither");
             match result {
-                Ok(()) => assert!(found == expected, "{fault:?} at {at} of {operations}: said to be done"),
-                Err(failure) => cut += u32::from(failure.message().contains("moov atom not found")),
+                Ok(_) => assert!(found == expected, "{fault:?} at {at} of {operations}: said to be done"),
+                Err(failure) => cut += u32::from(failure.to_string().contains("moov atom not found")),
             }
             std::fs::remove_dir_all(&folder).expect("there");
         }

@@ -1,5 +1,5 @@
-//! `streamsplat-bench reuse` on a small model and a few frames: its rows agree with the guarantees of reuse, and its
-//! record with its rows.
+//! `streamsplat-experiments reuse` on a small model and a few frames: its rows agree with the guarantees of reuse, and
+//! its record with its rows.
 
 use std::process::Command;
 
@@ -10,7 +10,7 @@ fn exact_reuse_loses_nothing_and_every_variant_has_its_rows() {
     let folder = tempfile::tempdir().expect("a folder");
     let [json, markdown, manifest] = ["reuse.json", "reuse.md", "clips.tsv"].map(|name| folder.path().join(name));
     std::fs::write(&manifest, "clip\tstatic_camera\nmoving.y4m\tno\n").expect("written");
-    let output = Command::new(env!("CARGO_BIN_EXE_streamsplat-bench"))
+    let output = Command::new(env!("CARGO_BIN_EXE_streamsplat-experiments"))
         .arg("reuse")
         .arg(streamsplat_fixtures::path("clips/moving.y4m"))
         .arg("--model")

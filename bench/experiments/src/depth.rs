@@ -11,11 +11,11 @@ use clap::Args;
 use serde::Serialize;
 use streamsplat::picture::Picture;
 use streamsplat::{Settings, source};
+use streamsplat_bench::Common;
+use streamsplat_bench::table::{Column, Table};
 use streamsplat_fixtures::clip::cards::Cards;
 use streamsplat_tests::turned::{Depth, Score, score};
 
-use crate::Common;
-use crate::table::{Column, Table};
 use registration::Registration;
 
 /// Options of `depth`.
@@ -46,7 +46,8 @@ pub(crate) struct Options {
     /// instead.
     #[arg(long, value_name = "DIR", num_args = 1..)]
     sensor: Vec<PathBuf>,
-    /// Pose of the colour camera of that sensor, for depth that is not registered (sensors/seven-scenes.json).
+    /// Pose of the colour camera of that sensor, for depth that is not registered
+    /// (bench/experiments/sensors/seven-scenes.json).
     #[arg(long, value_name = "FILE", requires = "sensor")]
     registration: Option<PathBuf>,
     /// Frames from one key frame of these clips to the next.

@@ -6,12 +6,12 @@ use anyhow::{Context, Result};
 use clap::Args;
 use serde::Serialize;
 use streamsplat::Settings;
+use streamsplat_bench::Common;
+use streamsplat_bench::table::{Column, Table};
 use streamsplat_fixtures::clip::cards::{Body, Cards, Moves};
 use streamsplat_tests::turned::{BodyScore, Depth, edges_from_lines, score_bodies};
 
-use crate::Common;
 use crate::depth::{first_picture, ppm};
-use crate::table::{Column, Table};
 
 /// Options of `turned`.
 #[derive(Args)]

@@ -1,4 +1,5 @@
-//! A set of splats in a safetensors file, with its projection and image: the input of the `splat` command.
+//! A set of splats in a safetensors file, with its projection and image: the oracle's scenes, and the input of the
+//! binary `splat`, with which other rasterisers are compared.
 //!
 //! | tensor | shape | what |
 //! |---|---|---|
@@ -10,7 +11,7 @@
 //! | `focal` | `[2]` | an orthographic view; pixels per unit |
 //! | `intrinsics` | `[4]` | if there is no `focal`: a pinhole's f_x, f_y, c_x, c_y in pixels |
 //!
-//! Numbers may be floats of 16 to 64 bits or integers. They are not checked for finiteness here: drawing leaves out
+//! Numbers may be floats of 32 or 64 bits or integers. They are not checked for finiteness here: drawing leaves out
 //! splats with other numbers and counts them.
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -18,50 +19,6 @@ use streamsplat_kernels::raster::{self, Gaussians, OwnedGaussians, Projection, R
 
 /// Most pixels of an image.
 pub const MAX_PIXELS: usize = 1 << 26;
-
-/// Errors of a file of splats.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum SplatsError {
-    /// Not a safetensors file, or a broken one.
-    #[error("not a readable safetensors file: {0}")]
-    Format(String),
-    /// A tensor is missing.
-    #[error("tensor {0} is missing")]
-    Missing(&'static str),
-    /// Neither projection is present.
-    #[error("expected a tensor focal [2] (orthographic) or intrinsics [4] (perspective), found neither")]
-    Projection,
-    /// A tensor has another shape than the others require.
-    #[error("tensor {tensor}: expected shape {expected}, found {found:?}")]
-    Shape {
-        /// The tensor.
-        tensor: &'static str,
-        /// The expected shape or type.
-        expected: String,
-        /// The one found.
-        found: Vec<usize>,
-    },
-    /// A tensor has an unsupported number format.
-    #[error("tensor {tensor}: expected numbers, found {found}")]
-    Numbers {
-        /// The tensor.
-        tensor: &'static str,
-        /// Its number format.
-        found: String,
-    },
-    /// A side of the image is not a whole number from 1 to [`raster::MAX_SIDE`].
-    #[error("tensor size: expected height and width from 1 to {}", raster::MAX_SIDE)]
-    Side,
-    /// The image has more than [`MAX_PIXELS`].
-    #[error("tensor size: expected at most {MAX_PIXELS} pixels, found {width}×{height}")]
-    Pixels {
-        /// Pixels per row.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
-}
 
 /// Splats, with their projection and image.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,8 +35,8 @@ impl Splats {
     ///
     /// # Errors
     /// Files of another kind, or with tensors that do not match.
-    pub fn from_safetensors(bytes: &[u8]) -> Result<Splats, SplatsError> {
-        let file = SafeTensors::deserialize(bytes).map_err(|e| SplatsError::Format(e.to_string()))?;
+    pub fn from_safetensors(bytes: &[u8]) -> Result<Splats, String> {
+        let file = SafeTensors::deserialize(bytes).map_err(|e| format!("not a readable safetensors file: {e}"))?;
         let file = &file;
         let mean = rows::<3>(file, "mean", None)?;
         let n = Some(mean.len());
@@ -95,7 +52,9 @@ impl Splats {
             let [fx, fy, cx, cy] = row::<4>(file, "intrinsics")?;
             Projection::Pinhole { focal: single([fx, fy]), centre: single([cx, cy]) }
         } else {
-            return Err(SplatsError::Projection);
+            return Err(
+                "expected a tensor focal [2] (orthographic) or intrinsics [4] (perspective), found neither".into()
+            );
         };
         let background = row::<3>(file, "background")?.map(|v| v as f32);
         let splats = OwnedGaussians {
@@ -124,25 +83,23 @@ impl Splats {
 }
 
 /// Width and height of the image.
-fn size(file: &SafeTensors<'_>) -> Result<(usize, usize), SplatsError> {
+fn size(file: &SafeTensors<'_>) -> Result<(usize, usize), String> {
     let [height, width] = row::<2>(file, "size")?.map(|side| {
         let whole = side >= 1.0 && side <= raster::MAX_SIDE as f64 && side.fract() == 0.0;
         whole.then_some(side as usize)
     });
-    let (Some(height), Some(width)) = (height, width) else { return Err(SplatsError::Side) };
+    let (Some(height), Some(width)) = (height, width) else {
+        return Err(format!("tensor size: expected height and width from 1 to {}", raster::MAX_SIDE));
+    };
     if width * height > MAX_PIXELS {
-        return Err(SplatsError::Pixels { width, height });
+        return Err(format!("tensor size: expected at most {MAX_PIXELS} pixels, found {width}×{height}"));
     }
     Ok((width, height))
 }
 
 /// A tensor `[N, K]` (`[N]` for K = 1) as f32.
-fn rows<const K: usize>(
-    file: &SafeTensors<'_>,
-    name: &'static str,
-    count: Option<usize>,
-) -> Result<Vec<[f32; K]>, SplatsError> {
-    let tensor = file.tensor(name).map_err(|_| SplatsError::Missing(name))?;
+fn rows<const K: usize>(file: &SafeTensors<'_>, name: &str, count: Option<usize>) -> Result<Vec<[f32; K]>, String> {
+    let tensor = file.tensor(name).map_err(|_| missing(name))?;
     let found = match *tensor.shape() {
         [n] if K == 1 => Some(n),
         [n, k] if k == K => Some(n),
@@ -150,24 +107,27 @@ fn rows<const K: usize>(
     };
     if found.is_none() || count.is_some_and(|count| found != Some(count)) {
         let n = count.map_or_else(|| "N".to_owned(), |n| n.to_string());
-        let (expected, found) = (format!("[{n}, {K}]"), tensor.shape().to_vec());
-        return Err(SplatsError::Shape { tensor: name, expected, found });
+        return Err(format!("tensor {name}: expected shape [{n}, {K}], found {:?}", tensor.shape()));
     }
     let values: Vec<f32> = values(name, &tensor)?.into_iter().map(|v| v as f32).collect();
     Ok(values.as_chunks::<K>().0.to_vec())
 }
 
 /// A tensor of K values.
-fn row<const K: usize>(file: &SafeTensors<'_>, name: &'static str) -> Result<[f64; K], SplatsError> {
-    let tensor = file.tensor(name).map_err(|_| SplatsError::Missing(name))?;
-    let wrong = || SplatsError::Shape { tensor: name, expected: format!("[{K}]"), found: tensor.shape().to_vec() };
+fn row<const K: usize>(file: &SafeTensors<'_>, name: &str) -> Result<[f64; K], String> {
+    let tensor = file.tensor(name).map_err(|_| missing(name))?;
+    let wrong = || format!("tensor {name}: expected shape [{K}], found {:?}", tensor.shape());
     if tensor.shape().iter().product::<usize>() != K {
         return Err(wrong());
     }
     <[f64; K]>::try_from(values(name, &tensor)?).map_err(|_| wrong())
 }
 
-fn values(name: &'static str, tensor: &TensorView<'_>) -> Result<Vec<f64>, SplatsError> {
+fn missing(name: &str) -> String {
+    format!("tensor {name} is missing")
+}
+
+fn values(name: &str, tensor: &TensorView<'_>) -> Result<Vec<f64>, String> {
     macro_rules! read {
         ($kind:ty, $convert:expr) => {{
             let convert: fn($kind) -> f64 = $convert;
@@ -178,8 +138,6 @@ fn values(name: &'static str, tensor: &TensorView<'_>) -> Result<Vec<f64>, Splat
     Ok(match tensor.dtype() {
         Dtype::F64 => read!(f64, |v| v),
         Dtype::F32 => read!(f32, f64::from),
-        Dtype::F16 => read!(half::f16, half::f16::to_f64),
-        Dtype::BF16 => read!(half::bf16, half::bf16::to_f64),
         Dtype::I64 => read!(i64, |v| v as f64),
         Dtype::U64 => read!(u64, |v| v as f64),
         Dtype::I32 => read!(i32, f64::from),
@@ -187,6 +145,6 @@ fn values(name: &'static str, tensor: &TensorView<'_>) -> Result<Vec<f64>, Splat
         Dtype::I16 => read!(i16, f64::from),
         Dtype::U16 => read!(u16, f64::from),
         Dtype::U8 => read!(u8, f64::from),
-        other => return Err(SplatsError::Numbers { tensor: name, found: format!("{other:?}") }),
+        other => return Err(format!("tensor {name}: expected numbers, found {other:?}")),
     })
 }

@@ -8,10 +8,9 @@ use serde::Serialize;
 use streamsplat::picture::Picture;
 use streamsplat::stream::{Interval, Resolution};
 use streamsplat::{Engine, Frame, Settings, source};
+use streamsplat_bench::Common;
+use streamsplat_bench::table::{Column, Table};
 use streamsplat_tests::enlarging::{Enlarging, enlarging};
-
-use crate::Common;
-use crate::table::{Column, Table};
 
 /// Options of `enlarging`.
 #[derive(Args)]

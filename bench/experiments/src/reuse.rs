@@ -14,17 +14,18 @@ use clap::Args;
 use serde::Serialize;
 use streamsplat::Settings;
 use streamsplat::fit::Fit;
+use streamsplat::folder;
 use streamsplat::gap::Gap;
 use streamsplat::picture::Picture;
 use streamsplat::source::TimedPicture;
 use streamsplat::stream::{ModelSource, Reuse};
+use streamsplat_bench::Common;
+use streamsplat_bench::machine::cpu;
+use streamsplat_bench::passage::{
+    Models, Runner, Variant, against, gap_name, mean_square_error, once_each, read, truths,
+};
+use streamsplat_bench::timing::Spent;
 use streamsplat_model::Precision;
-
-use crate::Common;
-use crate::machine::cpu;
-use crate::passage::{Models, Runner, Variant, against, clips, gap_name, mean_square_error, read, truths};
-use crate::timing::Spent;
-use crate::tradeoff::once_each;
 
 /// Options of `reuse`.
 #[derive(Args)]
@@ -164,6 +165,24 @@ fn row(runner: &Runner, name: &str, truths: &[Picture], base: &Runner) -> Result
     })
 }
 
+/// The clips of the inputs, in natural order.
+fn clips(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    let mut clips = Vec::new();
+    for input in inputs {
+        if !input.is_dir() || folder::has_images(input) {
+            clips.push(input.clone());
+            continue;
+        }
+        let entries = std::fs::read_dir(input).with_context(|| format!("{}", input.display()))?;
+        let mut inside: Vec<PathBuf> =
+            entries.flatten().map(|entry| entry.path()).filter(|path| path.is_dir()).collect();
+        inside.sort();
+        ensure!(!inside.is_empty(), "{}: neither images nor clips", input.display());
+        clips.extend(inside);
+    }
+    Ok(clips)
+}
+
 /// For each clip of a manifest, whether its camera is still.
 fn still(manifest: &str) -> Option<Vec<(&str, bool)>> {
     let mut lines = manifest.lines();
@@ -222,7 +241,7 @@ impl Options {
             values.iter().map(T::to_string).collect::<Vec<_>>().join(",")
         }
         let mut command = format!(
-            "streamsplat bench reuse CLIPS --threads {} --rounds {} --precision {} --reuse {} --gap {}",
+            "streamsplat-experiments reuse CLIPS --threads {} --rounds {} --precision {} --reuse {} --gap {}",
             self.common.threads,
             self.rounds,
             self.precision.name(),
