@@ -1,4 +1,5 @@
-//! `streamsplat-experiments`: measurements by which the engine is developed. Those of a user are in `streamsplat-bench`.
+//! `streamsplat-experiments`: measurements by which the engine is developed. Those for users are in
+//! `streamsplat-bench`, as `streamsplat bench`.
 
 mod depth;
 mod enlarging;

@@ -33,8 +33,8 @@ const AGES: [usize; 4] = [1, 2, 4, LENGTH];
 /// Median length of the parallax, in pixels of a picture 512 pixels wide, that needs no longer baseline.
 const ENOUGH: f64 = 8.0;
 
-/// Median length of the flow, in the same pixels, from which on the errors of a chain that is twice as long outweigh its
-/// parallax.
+/// Median length of the flow, in the same pixels, from which on the errors of a chain that is twice as long outweigh
+/// its parallax.
 const FAR: f64 = 24.0;
 
 /// Where each cell of a key frame is in an earlier one.
