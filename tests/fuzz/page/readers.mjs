@@ -140,7 +140,7 @@ function chunk(count) {
 function container(chunks, backs) {
   const header = Buffer.alloc(16);
   header.write("ssplat\x1a\n", "latin1");
-  header.writeUInt32LE(3, 8);
+  header.writeUInt32LE(1, 8);
   const index = Buffer.alloc(44 + 96 * chunks.length);
   index.writeDoubleLE(24);
   [144, 256, 144, 256, 0, 0, 144, 256, chunks.length].forEach((word, k) => index.writeUInt32LE(word, 8 + 4 * k));

@@ -112,7 +112,7 @@ class StillWriter {
     this.steps.copyWithin(numbers, ends, ends + 4 * count);
     const header = new DataView(this.buffer);
     header.setUint32(0, STILL_MAGIC);
-    [2, count, degree | (this.antialiased ? 1 << 16 : 0)].forEach((value, k) => header.setUint32(4 + 4 * k, value, true));
+    [1, count, degree | (this.antialiased ? 1 << 16 : 0)].forEach((value, k) => header.setUint32(4 + 4 * k, value, true));
     const buffer = count === room ? this.buffer : this.buffer.slice(0, length);
     return { buffer, degree, least: box.map(([low]) => low), greatest: box.map(([, high]) => high) };
   }
