@@ -39,6 +39,7 @@
 #![deny(unsafe_code)]
 
 pub mod camera;
+pub mod choice;
 pub mod depth;
 pub mod difference;
 pub mod fit;

@@ -1,8 +1,8 @@
 //! Sets of Gaussians as one array per property, written as a table with one row per property.
 //!
-//! [`columns!`](crate::columns) turns the rows into the record of one Gaussian, the arrays of many, and everything that
-//! treats all properties alike: copies, lengths, reading. [`Column`] is a property of all Gaussians as plain numbers,
-//! for files, comparisons and other languages.
+//! [`columns!`](crate::columns!) turns the rows into the record of one Gaussian, the arrays of many, and everything
+//! that treats all properties alike: copies, lengths, reading. [`Column`] is a property of all Gaussians as plain
+//! numbers, for files, comparisons and other languages.
 
 /// Numbers of a property, value after value.
 #[derive(Clone, Debug, PartialEq)]

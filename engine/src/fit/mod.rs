@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use streamsplat_kernels::{Level, resize};
 
-use crate::stream::settings::named;
+use crate::choice::named;
 
 named! {
     /// How a frame is resized to the model's input.

@@ -4,7 +4,7 @@ use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{self, Gaussians, Image, Projection, Request, Work};
 
 use super::RenderError;
-use crate::stream::settings::named;
+use crate::choice::named;
 #[cfg(feature = "wgpu")]
 use crate::wgpu::WgpuRasteriser;
 

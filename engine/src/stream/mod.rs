@@ -32,7 +32,7 @@ mod quality;
 mod reconstructor;
 mod resolution;
 mod resume;
-pub(crate) mod settings;
+mod settings;
 mod snapshot;
 mod tiles;
 mod work;
@@ -52,7 +52,7 @@ pub use resolution::Resolution;
 pub use resume::ResumePoint;
 pub use settings::{
     Behind, Decibels, DepthRange, Fade, FlowEffort, Fusion, MaxAge, ModelSource, MotionFrom, Reuse, SamplingMode,
-    Settings, StaticRegions, UnknownChoice,
+    Settings, StaticRegions,
 };
 pub use snapshot::Snapshot;
 pub use work::{StageWork, Work};

@@ -1,7 +1,7 @@
 //! Presets that trade error for time.
 
-use super::settings::named;
 use super::{Decibels, Fade, FlowEffort, MotionFrom, Resolution, Reuse, Settings, StaticRegions};
+use crate::choice::named;
 use crate::gap::{Auto, Gap};
 use streamsplat_model::Precision;
 

@@ -3,8 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::UnknownChoice;
 use super::reconstructor::{Reconstructor, Tiling};
+use crate::choice::UnknownChoice;
 use crate::fit::{Fit, Placement};
 
 /// Longest side of [`Resolution::Exact`].

@@ -7,9 +7,9 @@ use std::str::FromStr;
 
 use streamsplat_kernels::{Level, LevelError};
 
+use crate::choice::named;
 use crate::depth::{NetworkOptions, WrongOption};
 use crate::source::colour::Matrix;
-use crate::stream::settings::named;
 
 /// A text that is not a value of an option.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
