@@ -368,10 +368,11 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_folder_is_an_error_that_names_it() {
+    fn a_folder_without_images_is_an_error_that_names_it() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let error = Source::open(folder.path(), &Options::default()).err().expect("empty").to_string();
-        assert!(error.contains(&folder.path().display().to_string()), "{error}");
+        std::fs::write(folder.path().join("notes.txt"), b"x").expect("writable");
+        let error = Source::open(folder.path(), &Options::default()).err().expect("no image").to_string();
+        assert!(error.contains(&folder.path().display().to_string()) && error.contains("png"), "{error}");
     }
 
     #[test]
