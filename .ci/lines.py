@@ -4,6 +4,7 @@ python3 .ci/lines.py             counts the working tree
 python3 .ci/lines.py REVISION    counts a commit
 
 Left out: files and folders named test or tests, modules under `#[cfg(test)]`, `fixtures`, the tests' programs and `bench/experiments`.
+Test modules in files of other names are counted.
 """
 import collections
 import pathlib
