@@ -32,23 +32,43 @@ pub struct Found {
     pub nearest: f32,
 }
 
+/// Inverse depth of a key frame's cells, and the same without holes.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Filled {
+    pub(crate) found: Found,
+    values: Vec<f32>,
+}
+
+impl Filled {
+    /// [`Found::map`] of a frame of this height and width.
+    pub(crate) fn map(&self, level: Level, [height, width]: [usize; 2]) -> Vec<f32> {
+        let Self { found, values } = self;
+        // 1/z of the nearest point of a lifted scene.
+        let unit = 1.0 / scene_depth(1.0) / found.nearest.max(f32::MIN_POSITIVE);
+        let value = |inverse: &f32| map_value(1.0 / (unit * inverse).max(1e-3)).clamp(0.0, 1.0);
+        let values: Vec<f32> = values.iter().map(value).collect();
+        let [rows, columns] = found.grid;
+        let [tall, wide] = [rows * CELL, columns * CELL];
+        let mut large = vec![0.0; tall * wide];
+        resize::bilinear(level, &values, 1, rows, columns, tall, wide, &mut large);
+        large.chunks(wide).take(height).flat_map(|row| &row[..width]).copied().collect()
+    }
+}
+
 impl Found {
     /// Returns the map `[H, W]` of the frame `[3, H, W]`: holes filled, 0 farthest, 1 nearest. Since the zero of the
     /// inverse depth is known, its ratios are kept in a [lifted](crate::stream) scene: `9.8·y + 0.2 ∝ ρ`.
-    pub fn map(&self, level: Level, rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
-        // 1/z of the nearest point of a lifted scene.
-        let unit = 1.0 / scene_depth(1.0) / self.nearest.max(f32::MIN_POSITIVE);
-        let value = |inverse: &f32| map_value(1.0 / (unit * inverse).max(1e-3)).clamp(0.0, 1.0);
-        let filled: Vec<f32> = self.filled(rgb, [height, width]).iter().map(value).collect();
-        let [rows, columns] = self.grid;
-        let [tall, wide] = [rows * CELL, columns * CELL];
-        let mut large = vec![0.0; tall * wide];
-        resize::bilinear(level, &filled, 1, rows, columns, tall, wide, &mut large);
-        large.chunks(wide).take(height).flat_map(|row| &row[..width]).copied().collect()
+    pub fn map(&self, level: Level, rgb: &[f32], size: [usize; 2]) -> Vec<f32> {
+        self.clone().filled(level, rgb, size).map(level, size)
+    }
+
+    /// Fills the holes with the help of the frame `[3, H, W]`.
+    pub(crate) fn filled(self, level: Level, rgb: &[f32], size: [usize; 2]) -> Filled {
+        Filled { values: self.values(level, rgb, size), found: self }
     }
 
     /// Returns the inverse depth with its holes filled.
-    fn filled(&self, rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
+    fn values(&self, level: Level, rgb: &[f32], [height, width]: [usize; 2]) -> Vec<f32> {
         let area = height * width;
         let colour = |cell: usize| {
             let (row, column) = (cell / self.grid[1] * CELL, cell % self.grid[1] * CELL);
@@ -64,7 +84,7 @@ impl Found {
             })
         };
         let colours: Vec<[f32; 3]> = (0..self.inverse.len()).map(colour).collect();
-        fill::fill(&self.inverse, &self.confidence, &colours, self.grid)
+        fill::fill(level, &self.inverse, &self.confidence, &colours, self.grid)
     }
 
     /// Returns expected and found values, if this cannot be a result of [`find`](super::find) for pictures of this
@@ -115,10 +135,11 @@ pub(super) fn carry(found: &Found, sight: &Sight<'_>) -> Option<(Vec<Cell>, f32)
 /// Joins the cells of this interval with the carried ones, in the scale of the carried ones if there are any. Returns
 /// `None` if both together have too little confidence.
 pub(super) fn join(
+    level: Level,
     now: Option<Vec<Cell>>,
     carried: Option<Option<(Vec<Cell>, f32)>>,
     sight: &Sight<'_>,
-) -> Option<Found> {
+) -> Option<Filled> {
     let (mut cells, nearest) = match (now, carried.flatten()) {
         (None, None) => return None,
         (Some(now), None) => (now, None),
@@ -161,13 +182,15 @@ pub(super) fn join(
         body: cells.iter().map(|c| c.body).collect(),
         nearest: 0.0,
     };
-    let mut filled = found.filled(sight.evidence.rgb, sight.evidence.there.size);
-    filled.sort_by(f32::total_cmp);
-    let part = |share: usize| filled[(filled.len() - 1) * share / 100];
-    let [far, near] = [part(1), part(99)];
+    let values = found.values(level, sight.evidence.rgb, sight.evidence.there.size);
+    let mut ranked = values.clone();
+    let [far, near] = [1, 99].map(|share| {
+        let place = (ranked.len() - 1) * share / 100;
+        *ranked.select_nth_unstable_by(place, f32::total_cmp).1
+    });
     found.nearest = nearest.map_or(near, |then| ADAPTS.mul_add(near - then, then));
     // A constant depth carries no information.
-    (near > 1.05 * far).then_some(found)
+    (near > 1.05 * far).then_some(Filled { found, values })
 }
 
 /// Returns the weighted median; `None` without any weight.

@@ -63,6 +63,7 @@ use streamsplat_kernels::Level;
 use streamsplat_kernels::flow::Field;
 use streamsplat_kernels::philox::Stream;
 
+pub(crate) use filter::Filled;
 pub use filter::Found;
 pub use window::{Track, Window};
 
@@ -133,6 +134,18 @@ pub fn find(
     window: &Window,
     stream: Stream,
 ) -> (Option<Found>, Window) {
+    let (filled, window) = search(level, evidence, before, window, stream);
+    (filled.map(|filled| filled.found), window)
+}
+
+/// [`find`] with the holes filled.
+pub(crate) fn search(
+    level: Level,
+    evidence: Evidence<'_>,
+    before: Option<&Found>,
+    window: &Window,
+    stream: Stream,
+) -> (Option<Filled>, Window) {
     let sight = Sight::new(level, evidence);
     let carried = before.map(|found| filter::carry(found, &sight));
     let window = window.advance(level, &sight);
@@ -141,7 +154,7 @@ pub fn find(
         bodies::settle(&mut cells, before.map(|(cells, _)| &cells[..]), &sight);
         cells
     });
-    (filter::join(now, carried, &sight), window)
+    (filter::join(level, now, carried, &sight), window)
 }
 
 /// Values computed once for a pair of pictures.

@@ -1,8 +1,11 @@
 //! The online loop.
 
+use std::borrow::Cow;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use streamsplat_kernels::Level;
+use streamsplat_kernels::flow::Field;
 use streamsplat_kernels::philox::Stream;
 use streamsplat_model::LoadOptions;
 use streamsplat_model::reuse::{Saving, Tokens};
@@ -22,7 +25,7 @@ use super::{
     StaticRegions, Work, Workers,
 };
 use crate::fit::Placement;
-use crate::parallax::{self, Evidence, Found, Window};
+use crate::parallax::{self, Evidence, Filled, Found, Window};
 
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
@@ -189,23 +192,31 @@ impl Engine {
             Some(Keeping { kept, .. }) => self.flows_within(kept, &view, &seen, index)?,
             None => self.flows(&mut view, &mut seen, index)?,
         };
-        let standing = keeping.as_ref().is_some_and(|keeping| keeping.kept.mostly());
-        let depths = match standing {
-            true => Depths::default(),
-            false => self.found(tiles, &mut view, flows.as_ref(), index)?,
-        };
-        if depths.found.is_some()
-            && let Some(Keeping { taken, .. }) = keeping.take()
-        {
-            // Lifted Gaussians are not kept: restore all frames as they came.
-            let places = seen.iter_mut().map(|seen| &mut seen.rgb).chain([&mut view.rgb]);
-            places.zip(taken).for_each(|(rgb, taken)| *rgb = taken);
-            view.flow = None;
-            flows = self.flows(&mut view, &mut seen, index)?;
+        let mut depths = Depths::default();
+        if keeping.is_none() {
+            // The network does not depend on the depth.
+            let search = self.search(tiles, &mut view, flows.as_ref(), index)?;
+            depths = self.reconstruct_and_find(tiles, &mut view, search, index)?;
+        } else {
+            if keeping.as_ref().is_some_and(|keeping| !keeping.kept.mostly()) {
+                let search = self.search(tiles, &mut view, flows.as_ref(), index)?;
+                let found = found(&self.settings, level, self.state.as_ref(), search, &view.rgb, index);
+                depths = found.counted(&mut self.work);
+            }
+            if depths.found.is_some()
+                && let Some(Keeping { taken, .. }) = keeping.take()
+            {
+                // Lifted Gaussians are not kept: restore all frames as they came.
+                let places = seen.iter_mut().map(|seen| &mut seen.rgb).chain([&mut view.rgb]);
+                places.zip(taken).for_each(|(rgb, taken)| *rgb = taken);
+                view.flow = None;
+                flows = self.flows(&mut view, &mut seen, index)?;
+            }
+            let cells = keeping.as_ref().map(|keeping| &keeping.cells[..]);
+            let Self { settings, workers, work, fitter, state, .. } = self;
+            Context::new(settings, workers, work, fitter, tiles, state.as_ref())
+                .reconstruct(&mut view, cells, index)?;
         }
-        let cells = keeping.as_ref().map(|keeping| &keeping.cells[..]);
-        let Self { settings, workers, work, fitter, state, .. } = self;
-        Context::new(settings, workers, work, fitter, tiles, state.as_ref()).reconstruct(&mut view, cells, index)?;
         // All steps that can fail come before the state changes.
         let next_pair = match &self.state {
             Some(state) if self.settings.deforms() => {
@@ -305,6 +316,7 @@ impl Engine {
             }
         };
         let start = before.as_ref().map_or(timestamp, |s| s.timestamp);
+        let found = found.map(|filled| filled.found);
         let state = State { frame: index, timestamp, placement, view, pair: next_pair, set, found, window };
         let Advance { gaussians, merges, dropped, .. } = advance;
         let dropped = dropped + lost;
@@ -377,53 +389,57 @@ impl Engine {
         Flows::within(level, &mut self.work, views, seen, effort, rectangle.as_ref(), index).map(Some)
     }
 
-    /// Finds depth by parallax for key frame `index`, where that is requested and the frame has no map of its own.
-    fn found(
+    /// Puts key frame `index` through its own part of the network and finds its depth at the same time: the search runs
+    /// on one thread.
+    fn reconstruct_and_find(
+        &mut self,
+        tiles: &mut Tiles,
+        view: &mut KeyView,
+        search: Search<'_>,
+        index: u64,
+    ) -> Result<Depths, EngineError> {
+        let (rgb, mut work) = (view.rgb.clone(), std::mem::take(&mut self.work));
+        let Self { settings, workers, state, fitter, .. } = self;
+        let (found, reconstructed) = rayon::join(
+            || found(settings, workers.level(), state.as_ref(), search, &rgb, index),
+            || Context::new(settings, workers, &mut work, fitter, tiles, state.as_ref()).reconstruct(view, None, index),
+        );
+        self.work = work;
+        reconstructed?;
+        Ok(found.counted(&mut self.work))
+    }
+
+    /// Prepares the search for the depth of key frame `index`, where it is requested and the frame has no map of its
+    /// own.
+    fn search<'a>(
         &mut self,
         tiles: &Tiles,
         view: &mut KeyView,
-        flows: Option<&Flows>,
+        flows: Option<&'a Flows>,
         index: u64,
-    ) -> Result<Depths, EngineError> {
+    ) -> Result<Search<'a>, EngineError> {
         let Self { settings, work, workers, state, .. } = self;
         let wanted = settings.find_depth() && tiles.ignores_depth() && !view.has_depth();
-        let Some((state, flows)) = state.as_mut().filter(|_| wanted).zip(flows) else { return Ok(Depths::default()) };
+        let Some((state, flows)) = state.as_mut().filter(|_| wanted).zip(flows) else { return Ok(Search::None) };
         if view.repeats(&state.view) {
-            work.count(Stage::Parallax, 0, 1);
-            return Ok(Depths { found: state.found.clone(), first: None, window: state.window.clone() });
+            return Ok(Search::Repeated);
         }
         let level = workers.level();
         for view in [&mut state.view, &mut *view] {
             view.prepare_flow(level, work, settings.flow, index)?;
         }
-        let view = &*view;
-        let Some(flow) = flows.whole(level, work, [&state.view, view], settings.flow) else {
-            return Ok(Depths::default());
-        };
-        // From the key frame before to this one, and back.
-        let [forth, back] = &*flow;
-        let evidence = Evidence { rgb: &view.rgb, there: back, back: forth };
-        let stream = |frame: u64| Stream { seed: settings.seed, frame };
-        let (found, window) = work.measure(Stage::Parallax, || {
-            parallax::find(level, evidence, state.found.as_ref(), &state.window, stream(index))
-        });
-        let first = found.as_ref().filter(|_| index == 1 && state.view.map.is_none()).and_then(|found| {
-            let evidence = Evidence { rgb: &state.view.rgb, there: forth, back };
-            let none = Window::default();
-            work.measure(Stage::Parallax, || parallax::find(level, evidence, Some(found), &none, stream(0))).0
-        });
-        Ok(Depths { found, first, window })
+        Ok(flows.whole(level, work, [&state.view, view], settings.flow).map_or(Search::None, Search::Along))
     }
 
     /// Lifts the stream's first key frame, which had no depth when it came.
-    fn lift_first(&mut self, tiles: &mut Tiles, found: Found) {
+    fn lift_first(&mut self, tiles: &mut Tiles, found: Filled) {
         let Self { settings, workers, work, fitter, state, .. } = self;
         let Some(state) = state else { return };
         if let Some(map) = state.view.found_map(workers.level(), &found) {
             let mut context = Context::new(settings, workers, work, fitter, tiles, None);
             context.finish(&mut state.view, Some(map), &Memory::None);
             (state.set, _) = CanonicalSet::first(&state.view.gaussians, state.view.layers());
-            state.found = Some(found);
+            state.found = Some(found.found);
         }
     }
 
@@ -455,7 +471,8 @@ impl Engine {
             let alignment = Alignment::from(point.depth);
             let found = point.found.as_ref().filter(|found| found.contradiction(placement.model).is_none());
             let own = view.own_map(context.tiles).map(|map| AlignedMap { map: alignment.apply(map), alignment });
-            let map = own.or_else(|| view.found_map(level, found?));
+            let found = found.cloned().map(|found| found.filled(level, &view.rgb, placement.model));
+            let map = own.or_else(|| view.found_map(level, found.as_ref()?));
             let sound = contradiction(&point.covered, placement.model).is_none();
             let covered = if sound { &point.covered[..] } else { &[] };
             context.finish(&mut view, map, &Memory::Known(covered));
@@ -550,14 +567,79 @@ struct Keeping {
     taken: Vec<Vec<f32>>,
 }
 
+/// What a key frame's depth is found from.
+#[derive(Default)]
+enum Search<'a> {
+    /// No depth is searched.
+    #[default]
+    None,
+    /// The key frame repeats the one before.
+    Repeated,
+    /// The flow from the key frame before to this one, and back.
+    Along(Cow<'a, [Field; 2]>),
+}
+
 /// Depth found by parallax.
 #[derive(Default)]
 struct Depths {
     /// For the key frame.
-    found: Option<Found>,
+    found: Option<Filled>,
     /// For the stream's first key frame, where this is the second.
-    first: Option<Found>,
+    first: Option<Filled>,
     window: Window,
+}
+
+/// [`Depths`], the searches done and left out, and the time that they took.
+#[derive(Default)]
+struct Measured {
+    depths: Depths,
+    searches: [u64; 2],
+    time: Duration,
+}
+
+impl Measured {
+    /// The result, entered in the account.
+    fn counted(self, work: &mut Work) -> Depths {
+        let Self { depths, searches: [done, avoided], time } = self;
+        work.count(Stage::Parallax, done, avoided);
+        work.spent(Stage::Parallax, time);
+        depths
+    }
+}
+
+/// Finds depth by parallax for key frame `index`, `[3, H, W]`, the one after `state`.
+fn found(
+    settings: &Settings,
+    level: Level,
+    state: Option<&State>,
+    search: Search<'_>,
+    rgb: &[f32],
+    index: u64,
+) -> Measured {
+    let Some(state) = state else { return Measured::default() };
+    let _span = Stage::Parallax.span().entered();
+    let start = Instant::now();
+    let flow = match search {
+        Search::None => return Measured::default(),
+        Search::Repeated => {
+            let size = state.view.resolution();
+            let found = state.found.clone().map(|found| found.filled(level, rgb, size));
+            let depths = Depths { found, first: None, window: state.window.clone() };
+            return Measured { depths, searches: [0, 1], time: start.elapsed() };
+        }
+        Search::Along(flow) => flow,
+    };
+    let [forth, back] = &*flow;
+    let evidence = Evidence { rgb, there: back, back: forth };
+    let stream = |frame: u64| Stream { seed: settings.seed, frame };
+    let (found, window) = parallax::search(level, evidence, state.found.as_ref(), &state.window, stream(index));
+    let mut searches = 1;
+    let first = found.as_ref().filter(|_| index == 1 && state.view.map.is_none()).and_then(|filled| {
+        let evidence = Evidence { rgb: &state.view.rgb, there: forth, back };
+        searches = 2;
+        parallax::search(level, evidence, Some(&filled.found), &Window::default(), stream(0)).0
+    });
+    Measured { depths: Depths { found, first, window }, searches: [searches, 0], time: start.elapsed() }
 }
 
 /// Aligns the map of a frame with the scale of the frame before, along the flow from it.

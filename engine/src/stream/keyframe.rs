@@ -15,7 +15,7 @@ use super::tiles::{Tile, Tiles};
 use super::work::Stage;
 use super::{Behind, DepthRange, EngineError, FlowEffort, Frame, SamplingMode, Settings, Work};
 use crate::fit::{self, Placement};
-use crate::parallax::Found;
+use crate::parallax::Filled;
 
 /// y of a frame without depth.
 const CARD: f32 = 0.5;
@@ -313,8 +313,8 @@ impl KeyView {
 
     /// The map of the frame by `found`, which has one scale in the whole stream; `None` where no two of its values
     /// differ.
-    pub(super) fn found_map(&self, level: streamsplat_kernels::Level, found: &Found) -> Option<AlignedMap> {
-        let inverse = found.map(level, &self.rgb, self.resolution);
+    pub(super) fn found_map(&self, level: streamsplat_kernels::Level, found: &Filled) -> Option<AlignedMap> {
+        let inverse = found.map(level, self.resolution);
         let map = DepthMap { inverse, confidence: None, resolution: self.resolution }.filled()?;
         Some(AlignedMap { map, alignment: Alignment::default() })
     }

@@ -68,7 +68,7 @@ impl Stage {
 
 impl Stage {
     /// The network's stages have spans of their own.
-    fn span(self) -> tracing::Span {
+    pub(super) fn span(self) -> tracing::Span {
         match self {
             Stage::Fit => tracing::info_span!("fit"),
             Stage::Fusion => tracing::info_span!("fusion"),
@@ -155,6 +155,11 @@ impl Work {
         let stage = &mut self.stages[stage as usize];
         stage.done += done;
         stage.avoided += avoided;
+    }
+
+    /// Adds the time of work that ran at the same time as other stages.
+    pub(crate) fn spent(&mut self, stage: Stage, time: Duration) {
+        self.stages[stage as usize].time += time;
     }
 
     /// Runs `work` as one unit of a stage, inside its tracing span.
