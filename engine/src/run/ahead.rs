@@ -1,5 +1,6 @@
 //! Key frames read on demand, or one ahead on a separate thread.
 
+use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, Sender, channel, sync_channel};
 
@@ -19,6 +20,11 @@ pub struct Ahead {
     total: Option<usize>,
     fps: f64,
     account: Reading,
+    /// Key frames returned but not taken up: account of the input up to them, frames since the key frame before, and
+    /// state of the controller.
+    returned: VecDeque<(Reading, Option<usize>, ControlState)>,
+    /// Account of the whole input, once it has ended.
+    last: Option<Reading>,
     /// PSNR sender and choices so far, where key frames depend on the PSNR; `None` for fixed gaps.
     choices: Option<(Sender<Found>, Choices)>,
     /// True if a key frame has been returned.
@@ -55,7 +61,7 @@ impl Ahead {
             false => From::Here(Box::new(keys)),
             true => From::Thread(start(keys)),
         };
-        Ahead { from, total, fps, account, choices, started: false }
+        Ahead { from, total, fps, account, returned: VecDeque::new(), last: None, choices, started: false }
     }
 
     /// Sends how close the images of the latest key frame's interval are to its frames.
@@ -68,7 +74,23 @@ impl Ahead {
         }
     }
 
-    /// Key frames chosen so far, where the choice depends on the PSNR of the images.
+    /// Enters the earliest key frame that was returned and not taken up yet in the account and the choices.
+    pub fn take_up(&mut self) {
+        let Some((account, gap, state)) = self.returned.pop_front() else { return };
+        self.account = account;
+        if let Some((_, choices)) = &mut self.choices {
+            choices.add(gap, state);
+        }
+    }
+
+    /// Enters what was read after the last key frame in the account.
+    pub fn end(&mut self) {
+        if let Some(account) = self.last.take() {
+            self.account = account;
+        }
+    }
+
+    /// Key frames taken up so far, where the choice depends on the PSNR of the images.
     pub fn choices(&self) -> Option<&Choices> {
         self.choices.as_ref().map(|(_, choices)| choices)
     }
@@ -83,7 +105,7 @@ impl Ahead {
         self.fps
     }
 
-    /// Input read up to the latest key frame that was returned.
+    /// Input read up to the latest key frame that was taken up, or all of it after [`Ahead::end`].
     pub fn account(&self) -> &Reading {
         &self.account
     }
@@ -105,13 +127,16 @@ impl Ahead {
             From::Ended => return Ok(None),
         };
         let (key, account, state) = message?;
-        self.account = account;
-        if let (Some((_, choices)), Some(key)) = (&mut self.choices, &key) {
-            choices.add(self.started.then_some(key.shown.len()), state);
-            self.started = true;
-        }
-        if key.is_none() {
-            self.from = From::Ended;
+        match &key {
+            Some(key) => {
+                let gap = self.started.then_some(key.shown.len());
+                self.returned.push_back((account, gap, state));
+                self.started = true;
+            }
+            None => {
+                self.from = From::Ended;
+                self.last = Some(account);
+            }
         }
         Ok(key)
     }

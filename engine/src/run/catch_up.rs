@@ -14,13 +14,15 @@ pub fn catch_up(stream: &mut Session, point: &Point, resume: Option<&ResumePoint
     let mut before: Option<Frame> = None;
     let mut last = None;
     for index in 0..=point.key {
-        let Some(mut key) = stream.keys.next_key()? else {
-            let (expected, found) = (point.input.count, stream.keys.account().frames);
+        let Some(mut key) = stream.delivery.keys.next_key()? else {
+            stream.delivery.keys.end();
+            let (expected, found) = (point.input.count, stream.delivery.keys.account().frames);
             let name = point.input.path.display();
             return Err(Error::work(format!(
                 "--resume: the input: recorded {expected} frames of {name}, found {found}"
             )));
         };
+        stream.delivery.keys.take_up();
         key.shown.iter().for_each(|_| stream.progress());
         let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
         if index == point.key {
@@ -41,25 +43,25 @@ pub fn catch_up(stream: &mut Session, point: &Point, resume: Option<&ResumePoint
     let Some((interval, shown)) = last else {
         return Err(Error::work("--resume: state.safetensors: expected a resume point before the last whole interval"));
     };
-    if let Some(outputs) = &mut stream.outputs {
-        outputs.take_up(stream.keys.fps(), &interval, point.video.as_ref())?;
+    if let Some(outputs) = &mut stream.delivery.outputs {
+        outputs.take_up(stream.delivery.keys.fps(), &interval, point.video.as_ref())?;
     }
-    stream.times = point.times;
-    let drawn = match &stream.views.times {
+    stream.delivery.times = point.times;
+    let drawn = match &stream.delivery.views.times {
         None => shown.last().map(|frame| (frame.index, frame.timestamp)),
         Some(asked) => point.times.checked_sub(1).and_then(|i| Some((i, *asked.get(i)?))),
     };
-    stream.drawing.anchor = point.anchor;
-    if stream.emit.draws()
+    stream.delivery.drawing.anchor = point.anchor;
+    if stream.delivery.emit.draws()
         && let Some((index, time)) = drawn.filter(|(_, time)| holds(&interval, *time))
     {
-        stream.drawing.draw(&interval, index, time, &stream.views)?;
+        stream.delivery.drawing.draw(&interval, index, time, &stream.delivery.views)?;
     }
-    stream.drawing.counts = point.drawn.clone();
+    stream.delivery.drawing.counts = point.drawn.clone();
     stream.account.restart(point.work.clone(), stream.engine.work());
-    stream.dropped = point.dropped;
-    stream.span = Some(point.span);
-    stream.key = point.key + 1;
+    stream.delivery.dropped = point.dropped;
+    stream.delivery.span = Some(point.span);
+    stream.delivery.key = point.key + 1;
     Ok(())
 }
 
@@ -69,7 +71,7 @@ fn holds(interval: &Interval, time: f64) -> bool {
 
 /// Returns an error unless the frames read so far are those of the stopped run.
 fn check_input(stream: &Session, point: &Point) -> Result<(), Error> {
-    let (expected, found) = (&point.input, stream.keys.input(&point.input.path));
+    let (expected, found) = (&point.input, stream.delivery.keys.input(&point.input.path));
     if expected.blake3 == found.blake3 && expected.count == found.count && expected.fps == found.fps {
         return Ok(());
     }

@@ -22,6 +22,7 @@ mod catch_up;
 mod choices;
 pub mod closeness;
 pub mod crop;
+mod delivery;
 pub mod destination;
 pub mod digest;
 pub mod drawing;

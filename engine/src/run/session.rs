@@ -5,7 +5,8 @@ use std::time::Instant;
 
 use super::ahead::Ahead;
 use super::catch_up::catch_up;
-use super::closeness::{Closeness, Truth, Whole};
+use super::closeness::{Closeness, Whole};
+use super::delivery::{Delivered, Delivery, Pending};
 use super::destination::Destination;
 use super::drawing::Drawing;
 use super::keydepth::KeyDepth;
@@ -14,15 +15,13 @@ use super::options::{Fill, Machine, NamedMatrix, RunOptions};
 use super::outputs::{Emit, Finished, Outputs};
 use super::place::Place;
 use super::record::{Account, Build, Invocation, NetworkRecord, PROGRAM, Record, Timing, WorkRecord};
-use super::resume_state::{Found, Point};
+use super::resume_state::Found;
 use super::terms::{Terms, with_absolute_paths};
-use super::views::Views;
-use super::{Error, Observer, Shown, Step, Stop};
+use super::{Error, Observer, Step, Stop};
+use crate::Engine;
 use crate::output::{Pace, VideoFormat, holds_sound};
-use crate::picture::Picture;
 use crate::source::{self, Sound, Source};
-use crate::stream::{Interval, MotionFrom, ResumePoint, Reuse, Snapshot};
-use crate::{Engine, Image};
+use crate::stream::{Interval, MotionFrom, Reuse};
 
 /// The input, options and environment of a run.
 pub(super) struct Task {
@@ -41,28 +40,14 @@ pub(super) struct Task {
 /// A run under way.
 pub(super) struct Session {
     task: Task,
-    pub keys: Ahead,
     pub engine: Engine,
-    /// Destination of the results; `None` where only the caller receives them, and after a failure.
-    pub outputs: Option<Outputs>,
+    pub delivery: Delivery,
     place: Option<Place>,
-    pub drawing: Drawing,
-    /// PSNR at 256×256, where key frames depend on it.
-    pub closeness: Option<Closeness>,
-    /// PSNR at the source's size, where the images have that size.
-    whole: Option<Whole>,
     pub account: Account,
-    pub emit: Emit,
-    pub views: Views,
-    /// Gaussians left out by the engine.
-    pub dropped: u64,
-    /// First and last time so far.
-    pub span: Option<(f64, f64)>,
-    /// The next key frame.
-    pub key: u64,
-    /// Number of requested times that are done.
-    pub times: usize,
-    terms: Terms,
+    /// True if an interval may be delivered while the next one is computed.
+    overlaps: bool,
+    /// The latest interval, if it is still to be delivered.
+    pending: Option<Pending>,
     /// The first interval and the images due in it, while they wait for the second.
     first: Option<(Interval, Vec<(usize, f64)>)>,
     /// A step that is done but not returned yet.
@@ -178,6 +163,8 @@ impl Session {
                 return Err(failure);
             }
         };
+        // A live stream's frames arrive late: no image waits for them.
+        let waits = source.is_stream();
         let mut keys = KeyFrames::new(source, depth, gap, keep, options.frames, stop);
         let whole = gap.depends_on_images() && emit.draws() && views.is_the_sources_own();
         keys.compare_whole(whole);
@@ -190,16 +177,13 @@ impl Session {
         }
         let whole = whole.then(|| point.and_then(|point| point.whole).map(Whole::resume).unwrap_or_default());
         observer.started(keys.total());
-        let mut session = Session {
-            task,
+        let (input, overlaps) = (input.clone(), !waits && engine.workers().threads() > 1);
+        let delivery = Delivery {
             keys,
-            engine,
             outputs,
-            place,
             drawing,
             closeness,
             whole,
-            account: Account::default(),
             emit,
             views,
             dropped: 0,
@@ -207,6 +191,16 @@ impl Session {
             key: 0,
             times: 0,
             terms,
+            input,
+        };
+        let mut session = Session {
+            task,
+            engine,
+            delivery,
+            place,
+            account: Account::default(),
+            overlaps,
+            pending: None,
             first: None,
             ready: None,
             done: 0,
@@ -223,8 +217,8 @@ impl Session {
                 }
             }
             _ => {
-                let fps = session.keys.fps();
-                if let Some(outputs) = &mut session.outputs {
+                let fps = session.delivery.keys.fps();
+                if let Some(outputs) = &mut session.delivery.outputs {
                     outputs.start(fps, pace)?;
                 }
             }
@@ -253,53 +247,77 @@ impl Session {
             return Ok(Some(step));
         }
         loop {
-            // The first interval is always completed.
-            if self.task.stop.asked() && self.first.is_none() && self.key > 0 {
-                self.state = State::Stopped;
-                return Ok(None);
+            if self.task.stop.asked() {
+                self.deliver_pending(keep)?;
+                // The first interval is always completed.
+                if self.first.is_none() && self.delivery.key > 0 {
+                    self.state = State::Stopped;
+                    return Ok(None);
+                }
             }
-            let Some(mut key) = self.keys.next_key()? else { break };
+            let mut key = match self.delivery.keys.next_key() {
+                Ok(Some(key)) => key,
+                end => {
+                    self.deliver_pending(keep)?;
+                    end?;
+                    self.delivery.keys.end();
+                    break;
+                }
+            };
             let Some(timestamp) = key.shown.last().map(|frame| frame.timestamp) else { continue };
-            let resume = self.engine.resume_point().filter(|_| self.can_resume());
-            let interval = self.engine.push_with(key.take_between(), key.frame, timestamp)?;
-            self.dropped += interval.dropped;
-            self.span = Some((self.span.map_or(interval.start, |(first, _)| first), interval.end));
+            let resume = self.engine.resume_point().filter(|_| self.delivery.can_resume());
+            let between = key.take_between();
+            let interval = match self.pending.take() {
+                None => self.engine.push_with(between, key.frame, timestamp)?,
+                Some(pending) => {
+                    let Session { engine, delivery, .. } = self;
+                    let (delivered, pushed) = std::thread::scope(|scope| {
+                        let delivered = scope.spawn(|| delivery.deliver(pending, false));
+                        let pushed = engine.push_with(between, key.frame, timestamp);
+                        (delivered.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)), pushed)
+                    });
+                    self.delivered(delivered?);
+                    pushed?
+                }
+            };
+            let delivery = &mut self.delivery;
+            delivery.dropped += interval.dropped;
+            delivery.span = Some((delivery.span.map_or(interval.start, |(first, _)| first), interval.end));
             self.task.observer.interval(&interval);
             let times: Vec<f64> = key.shown.iter().map(|frame| frame.timestamp).collect();
             let frames = key.shown.iter().map(|frame| (frame.index, frame.timestamp));
-            let mut due = if self.emit.draws() || self.emit.ply { self.due(&interval, frames) } else { Vec::new() };
-            if let Some(whole) = &mut self.whole {
+            let mut due = match delivery.emit.draws() || delivery.emit.ply {
+                true => delivery.due(&interval, frames),
+                false => Vec::new(),
+            };
+            if let Some(whole) = &mut delivery.whole {
                 let truths = key.shown.iter().zip(&mut key.truths);
                 truths.for_each(|(frame, truth)| whole.expect(frame.index, truth.samples.take().unwrap_or_default()));
             }
             let waits = interval.index == 0 && self.engine.finds_depth() && !due.is_empty();
-            if let Some(outputs) = &mut self.outputs {
-                self.drawing.writing(|| outputs.interval(&interval, &times, self.engine.workers()))?;
+            if let Some(outputs) = &mut delivery.outputs {
+                delivery.drawing.writing(|| outputs.interval(&interval, &times, self.engine.workers()))?;
             }
-            let mut images = Vec::new();
-            let before = self.first.take().filter(|_| !waits).map(|(first, of_first)| {
+            let first = self.first.take().filter(|_| !waits).map(|(first, of_first)| {
                 let count = of_first.len();
                 due.splice(0..0, of_first);
                 (first, count)
             });
-            if !waits {
-                images = self.draw(&interval, &due, &key.truths, keep)?;
+            let work = self.account.of(self.engine.work());
+            let frames = key.shown.len();
+            let pending = Pending { interval, due, truths: key.truths, frames, waits, first, resume, work };
+            if self.overlaps && !keep && !waits {
+                self.pending = Some(pending);
+                continue;
             }
-            if let Some(closeness) = &mut self.closeness
-                && let Some(found) = closeness.of(&interval, &key.truths)?
-            {
-                self.keys.tell(&found, closeness);
-            }
-            if !waits {
-                self.commit(resume.as_ref())?;
-            }
-            self.key += 1;
-            key.shown.iter().for_each(|_| self.progress());
+            let delivered = self.delivery.deliver(pending, keep)?;
+            let Delivered { pending: Pending { interval, due, waits, first, .. }, mut images } =
+                self.delivered(delivered);
             if waits {
                 self.first = Some((interval, due));
                 continue;
             }
-            let Some((first, count)) = before else { return Ok(Some(Step { interval, images })) };
+            let Some((first, count)) = first else { return Ok(Some(Step { interval, images })) };
             let of_this = images.split_off(count.min(images.len()));
             self.ready = Some(Step { interval, images: of_this });
             return Ok(Some(Step { interval: first, images }));
@@ -307,104 +325,34 @@ impl Session {
         self.state = State::Complete;
         // There was only one key frame.
         let Some((interval, due)) = self.first.take() else { return Ok(None) };
-        let images = self.draw(&interval, &due, &[], keep)?;
+        let images = self.delivery.draw(&interval, &due, &[], keep)?;
         Ok(Some(Step { interval, images }))
+    }
+
+    /// Delivers the interval that is still to be delivered.
+    fn deliver_pending(&mut self, keep: bool) -> Result<(), Error> {
+        if let Some(pending) = self.pending.take() {
+            let delivered = self.delivery.deliver(pending, keep)?;
+            self.delivered(delivered);
+        }
+        Ok(())
+    }
+
+    /// Reports the frames of a delivered interval.
+    fn delivered(&mut self, delivered: Delivered) -> Delivered {
+        (0..delivered.pending.frames).for_each(|_| self.progress());
+        delivered
     }
 
     /// Counts one more finished frame.
     pub(super) fn progress(&mut self) {
         self.done += 1;
-        self.task.observer.progress(self.done, self.keys.total());
-    }
-
-    fn can_resume(&self) -> bool {
-        self.outputs.as_ref().is_some_and(Outputs::can_resume)
-    }
-
-    /// Numbers and times of the images of `interval`: the input frames' own, or those of the requested times that are
-    /// in it.
-    fn due(&mut self, interval: &Interval, frames: impl Iterator<Item = (usize, f64)>) -> Vec<(usize, f64)> {
-        let Some(asked) = &self.views.times else { return frames.collect() };
-        let mut due = Vec::new();
-        while let Some(&time) = asked.get(self.times).filter(|time| **time <= interval.end) {
-            if time < interval.start {
-                break;
-            }
-            due.push((self.times, time));
-            self.times += 1;
-        }
-        due
-    }
-
-    /// Draws and writes the images that are due in an interval.
-    fn draw(
-        &mut self,
-        interval: &Interval,
-        due: &[(usize, f64)],
-        truths: &[Truth],
-        keep: bool,
-    ) -> Result<Vec<Shown>, Error> {
-        let Session { outputs, drawing, emit, keys, whole, closeness, views, .. } = self;
-        let (emit, views, mut kept) = (*emit, &*views, Vec::new());
-        // With `--times`, images have a constant rate.
-        let rate = views.times.as_ref().map(|_| keys.fps());
-        drawing.pass(
-            due.iter(),
-            |drawing, &(index, time)| {
-                Ok(Some((index, time, Drawn::of(drawing, interval, (index, time), emit, views)?)))
-            },
-            |(index, time, Drawn { image, snapshot })| {
-                if let Some(image) = image {
-                    let Image { width, height, .. } = image;
-                    let picture = Picture { width, height, rgb: image.rgb };
-                    if let Some(whole) = whole {
-                        whole.compare(index, &picture);
-                    }
-                    if let Some(closeness) = closeness {
-                        closeness.take(interval, (time, &picture), views, truths)?;
-                    }
-                    let image = Image { rgb: picture.rgb, ..image };
-                    kept.extend(keep.then(|| Shown { index, time, image: image.clone() }));
-                    if let Some(outputs) = outputs.as_mut() {
-                        outputs.image(index, rate.map_or(time, |fps| index as f64 / fps), image)?;
-                    }
-                }
-                match (snapshot, outputs.as_mut()) {
-                    (Some(snapshot), Some(outputs)) => outputs.snapshot(index, &snapshot),
-                    _ => Ok(()),
-                }
-            },
-        )?;
-        Ok(kept)
-    }
-
-    /// Makes the interval just written a point to resume from.
-    fn commit(&mut self, resume: Option<&ResumePoint>) -> Result<(), Error> {
-        if !self.can_resume() {
-            return Ok(());
-        }
-        let point = Point {
-            terms: self.terms.clone(),
-            input: self.keys.input(&self.task.input),
-            key: self.key,
-            span: self.span.unwrap_or_default(),
-            times: self.times,
-            choices: self.keys.choices().cloned(),
-            whole: self.whole.as_ref().map(Whole::compared),
-            work: self.account.of(self.engine.work()),
-            dropped: self.dropped,
-            drawn: self.drawing.counts.clone(),
-            anchor: self.drawing.anchor,
-            ledger: 0,
-            video: None,
-        };
-        let Session { outputs, drawing, .. } = self;
-        outputs.as_mut().map_or(Ok(()), |outputs| drawing.writing(|| outputs.commit(point, resume)))
+        self.task.observer.progress(self.done, self.delivery.keys.total());
     }
 
     /// Ends after a failure: files written so far stay valid, and the place is released.
     fn abandon(&mut self) {
-        if let (Some(outputs), Some(place)) = (self.outputs.take(), &mut self.place) {
+        if let (Some(outputs), Some(place)) = (self.delivery.outputs.take(), &mut self.place) {
             outputs.abandon(place);
         }
     }
@@ -417,18 +365,20 @@ impl Session {
             return Err(Error::work("the run has failed before; what was written is valid"));
         }
         let complete = self.state == State::Complete;
-        let Some((first, last)) = self.span else {
+        let Some((first, last)) = self.delivery.span else {
             return Err(Error::work(format!("{}: the video has no frame", self.task.input.display())));
         };
         if complete
-            && (self.emit.draws() || self.emit.ply)
-            && let Some(time) = self.views.times.as_ref().and_then(|times| times.get(self.times).copied())
+            && (self.delivery.emit.draws() || self.delivery.emit.ply)
+            && let Some(time) =
+                self.delivery.views.times.as_ref().and_then(|times| times.get(self.delivery.times).copied())
         {
             self.abandon();
             return Err(Error::usage(format!("--times: {time} s lies outside the video ({first} s to {last} s)")));
         }
-        let filled = self.views.fill != Fill::None;
-        let Session { mut task, keys, engine, outputs, place, mut drawing, closeness, whole, account, .. } = self;
+        let Session { mut task, engine, delivery, place, account, noted, start, .. } = self;
+        let Delivery { keys, outputs, views, mut drawing, closeness, whole, key, dropped, .. } = delivery;
+        let filled = views.fill != Fill::None;
         task.observer.finishing();
         let finished = outputs.map(|outputs| drawing.writing(|| outputs.finish())).transpose()?;
         let Finished { outputs, notes } = finished.unwrap_or_default();
@@ -446,7 +396,7 @@ impl Session {
         }
         let read = keys.account();
         // Notes added while reading.
-        task.observer.notes(read.notes.get(self.noted..).unwrap_or_default());
+        task.observer.notes(read.notes.get(noted..).unwrap_or_default());
         seconds.insert("decode".into(), read.time.as_secs_f64());
         if let Some(network) = &read.network {
             let unit = "frames".to_owned();
@@ -469,12 +419,12 @@ impl Session {
             complete,
             outputs,
             work,
-            dropped: self.dropped + drawing.counts.dropped,
+            dropped: dropped + drawing.counts.dropped,
             image_size: drawing.counts.size,
-            key_frames: Some(self.key),
+            key_frames: Some(key),
             psnr: closeness.as_ref().and_then(Closeness::mean),
             psnr_source_size: whole.as_ref().and_then(Whole::mean),
-            timing: Timing::of(self.start, seconds, engine.workers()),
+            timing: Timing::of(start, seconds, engine.workers()),
         };
         Ok((record, place))
     }
@@ -485,29 +435,4 @@ fn taken_along(source: &Source, options: &RunOptions, destination: &Destination)
     let own_times = options.view.times.is_none() && options.fps.is_none();
     let wanted = !options.no_audio && own_times && holds_sound(destination.path());
     source.sound().filter(|_| wanted)
-}
-
-/// Results at one time, not yet written.
-struct Drawn {
-    image: Option<Image>,
-    snapshot: Option<Snapshot>,
-}
-
-impl Drawn {
-    /// The results of `interval` at `time` that `emit` selects.
-    fn of(
-        drawing: &mut Drawing,
-        interval: &Interval,
-        (index, time): (usize, f64),
-        emit: Emit,
-        views: &Views,
-    ) -> Result<Self, Error> {
-        let image = emit.draws().then(|| drawing.draw(interval, index, time, views)).transpose()?;
-        let snapshot = emit.ply.then(|| Snapshot::square(interval, time, drawing.workers())).transpose()?;
-        if let Some(snapshot) = &snapshot {
-            // Where an image is drawn as well, its count includes them.
-            drawing.counts.dropped += if emit.draws() { 0 } else { snapshot.dropped };
-        }
-        Ok(Self { image, snapshot })
-    }
 }
