@@ -10,7 +10,7 @@ const HEAD: &str = "# What happens at the extremes
 
 Every case runs on every instruction-set level and thread count below, and the bits of all of them are compared. The worst error is against binary64; beside
 it stand the value that has it and what that should be. A case that breaks a promise (a value that is not finite, a step that is not monotone, a draw outside its
-bounds, a record that is not dropped, other bits) or whose error grows beyond `record.json` fails `cargo test -p streamsplat-tests --test extremes`.
+bounds, a record that is not dropped, other bits) or whose error grows beyond `record.json` fails `cargo test -p streamsplat-tests --test contracts extremes::`.
 
 Written by
 
@@ -33,7 +33,7 @@ const TAIL: &str = "
 ## Long streams
 
 10,000 key frames in a row (identities unique and ascending, as many Gaussians at the end as after a hundred, the pairwise image of key frame 10,000 equal to that of
-a stream started two frames earlier) are `cargo test --release -p streamsplat-tests --test stream_long`.
+a stream started two frames earlier) are `cargo test --release -p streamsplat-tests --test contracts stream_long::`.
 ";
 
 /// A number in few characters.

@@ -24,6 +24,7 @@ mod results;
 mod resume;
 mod splats;
 mod still;
+mod still_example;
 mod support;
 mod trace;
 mod track;

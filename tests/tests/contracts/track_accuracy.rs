@@ -1,6 +1,6 @@
 //! Error of tracked points on clips of known motion: the engine alone (with a reconstructor that returns the truth) and
-//! with the embedded model. The figures are printed (`cargo test --release -p streamsplat-tests --test track_accuracy
-//! -- --nocapture`) and may not get worse than the bounds here.
+//! with the embedded model. The figures are printed (`cargo test --release -p streamsplat-tests --test contracts
+//! track_accuracy:: -- --nocapture`) and may not get worse than the bounds here.
 
 use std::sync::Arc;
 

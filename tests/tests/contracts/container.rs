@@ -173,7 +173,7 @@ fn the_stored_container_reads_back() {
 }
 
 #[test]
-#[ignore = "writes the stored container: cargo test --release -p streamsplat-tests --test container -- --ignored"]
+#[ignore = "writes the stored container: cargo test --release -p streamsplat-tests --test contracts container:: -- --ignored"]
 fn store_the_container() {
     write_sheet(&streamsplat_fixtures::path(STORED));
 }

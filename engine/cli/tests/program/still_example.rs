@@ -5,7 +5,7 @@ use std::process::Command;
 use streamsplat::formats;
 use streamsplat::still::{Still, Values};
 
-#[path = "../../examples/still.rs"]
+#[path = "../../../examples/still.rs"]
 #[expect(dead_code, reason = "its main reads the command line")]
 mod example;
 

@@ -1,0 +1,4 @@
+//! The program `streamsplat-experiments` from the outside.
+
+mod reuse;
+mod soak;

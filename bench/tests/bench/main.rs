@@ -1,0 +1,5 @@
+//! The program `streamsplat-bench` from the outside.
+
+mod compare;
+mod fit;
+mod tradeoff;
