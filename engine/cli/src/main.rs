@@ -10,9 +10,8 @@ fn main() -> std::process::ExitCode {
 mod memory {
     #![expect(unsafe_code, reason = "glibc's allocator is configured through a function of C")]
 
-    /// Memory that is freed stays with the program, because each interval allocates as much as the one before, and all
-    /// threads share one heap. Without this, pages are returned to the system and zeroed anew in each interval: 2 to 3 %
-    /// of the processor time, and a tenth more memory at the peak (docs/performance.md).
+    /// Keeps freed memory in the program, and one heap for all threads. Each interval allocates as much as the one
+    /// before; without this, its pages go back to the system and are zeroed again (docs/performance.md has figures).
     pub fn keep() {
         // The largest threshold that glibc accepts.
         const MMAP_THRESHOLD: libc::c_int = 32 << 20;
