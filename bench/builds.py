@@ -1,0 +1,79 @@
+"""Time of `run` in several builds: builds.py CLIPS PROGRAM [PROGRAM…] [--rounds 5] [--quality balanced] [--only NAME…] [--json FILE]
+
+CLIPS is a folder of clips, each a folder of images. Clip by clip and round by round, each program runs `run CLIP --threads 2 --emit rgb --out FILE.y4m` in
+turn, in the opposite order in every second round. For each clip and program it prints the medians of wall clock, processor time and peak memory, the median
+over rounds of the first program's wall clock divided by this one's, and the digest of the video. It ends with the median of these ratios over clips.
+A program whose video differs from round to round is an error.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+
+def run(program, clip, video, quality):
+    """Wall clock and processor time in seconds, peak memory in MiB, the video's digest."""
+    words = [program, 'run', clip, '--quality', quality, '--threads', '2', '--emit', 'rgb', '--out', video, '--quiet']
+    start = time.monotonic()
+    child = subprocess.Popen(list(map(str, words)), stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(child.pid, 0)
+    wall = time.monotonic() - start
+    child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode:
+        sys.exit(f'{program}: exit code {child.returncode}')
+    digest = hashlib.sha256(video.read_bytes()).hexdigest()[:8]
+    return {'wall': wall, 'cpu': used.ru_utime + used.ru_stime, 'memory': used.ru_maxrss / 1024}, digest
+
+
+def main():
+    a = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    a.add_argument('clips', type=Path)
+    a.add_argument('programs', nargs='+')
+    a.add_argument('--rounds', type=int, default=5)
+    a.add_argument('--quality', default='balanced')
+    a.add_argument('--only', nargs='+', help='names of clips, without those that are not named')
+    a.add_argument('--json', type=Path)
+    options = a.parse_args()
+    clips = sorted(path for path in options.clips.iterdir() if path.is_dir() and (not options.only or path.name in options.only))
+    if options.only and len(clips) != len(set(options.only)):
+        sys.exit(f'--only: expected names of clips in {options.clips}, found {" ".join(options.only)}')
+    if not clips:
+        sys.exit(f'{options.clips}: expected folders of images, found none')
+    rows, first = [], options.programs[0]
+    with tempfile.TemporaryDirectory() as folder:
+        for clip in clips:
+            taken, digests = {program: [] for program in options.programs}, {}
+            for number in range(options.rounds):
+                for at, program in list(enumerate(options.programs))[:: -1 if number % 2 else 1]:
+                    found, digest = run(program, clip, Path(folder, f'{number}-{at}.y4m'), options.quality)
+                    Path(folder, f'{number}-{at}.y4m').unlink()
+                    taken[program].append(found)
+                    if digests.setdefault(program, digest) != digest:
+                        sys.exit(f'{program}, {clip.name}: expected the video {digests[program]}, found {digest}')
+            for program in options.programs:
+                ratios = [a['wall'] / b['wall'] for a, b in zip(taken[first], taken[program])]
+                row = {key: statistics.median(one[key] for one in taken[program]) for key in ('wall', 'cpu', 'memory')}
+                row |= {'clip': clip.name, 'program': program, 'ratio': statistics.median(ratios), 'ratios': ratios, 'video': digests[program]}
+                rows.append(row)
+                spread = f'{min(ratios):.2f} to {max(ratios):.2f}'
+                print(f'{clip.name:24} {row["wall"]:6.2f} s {row["cpu"]:6.2f} s {row["memory"]:5.0f} MiB {row["ratio"]:5.2f} ({spread}) '
+                      f'{row["video"]} {program}', flush=True)
+    medians = {}
+    for program in options.programs:
+        medians[program] = statistics.median(row['ratio'] for row in rows if row['program'] == program)
+        print(f'{medians[program]:.3f} times as fast: {program}')
+    if options.json:
+        versions = {p: subprocess.run([p, '--version'], check=True, capture_output=True, text=True).stdout.strip() for p in options.programs}
+        record = {'quality': options.quality, 'rounds': options.rounds, 'programs': versions, 'median': medians, 'rows': rows}
+        options.json.write_text(json.dumps(record, indent=1) + '\n')
+
+
+if __name__ == '__main__':
+    main()
