@@ -47,24 +47,23 @@ def main():
     if not clips:
         sys.exit(f'{options.clips}: expected folders of images, found none')
     rows, first = [], options.programs[0]
-    with tempfile.TemporaryDirectory() as folder:
-        for clip in clips:
-            taken, digests = {program: [] for program in options.programs}, {}
-            for number in range(options.rounds):
-                for at, program in list(enumerate(options.programs))[:: -1 if number % 2 else 1]:
-                    found, digest = run(program, clip, Path(folder, f'{number}-{at}.y4m'), options.quality)
-                    Path(folder, f'{number}-{at}.y4m').unlink()
-                    taken[program].append(found)
-                    if digests.setdefault(program, digest) != digest:
-                        sys.exit(f'{program}, {clip.name}: expected the video {digests[program]}, found {digest}')
-            for program in options.programs:
-                ratios = [a['wall'] / b['wall'] for a, b in zip(taken[first], taken[program])]
-                row = {key: statistics.median(one[key] for one in taken[program]) for key in ('wall', 'cpu', 'memory')}
-                row |= {'clip': clip.name, 'program': program, 'ratio': statistics.median(ratios), 'ratios': ratios, 'video': digests[program]}
-                rows.append(row)
-                spread = f'{min(ratios):.2f} to {max(ratios):.2f}'
-                print(f'{clip.name:24} {row["wall"]:6.2f} s {row["cpu"]:6.2f} s {row["memory"]:5.0f} MiB {row["ratio"]:5.2f} ({spread}) '
-                      f'{row["video"]} {program}', flush=True)
+    for clip in clips:
+        taken, digests = {program: [] for program in options.programs}, {}
+        for number in range(options.rounds):
+            for program in options.programs[:: -1 if number % 2 else 1]:
+                with tempfile.TemporaryDirectory() as folder:
+                    found, digest = run(program, clip, Path(folder, 'out.y4m'), options.quality)
+                taken[program].append(found)
+                if digests.setdefault(program, digest) != digest:
+                    sys.exit(f'{program}, {clip.name}: expected the video {digests[program]}, found {digest}')
+        for program in options.programs:
+            ratios = [a['wall'] / b['wall'] for a, b in zip(taken[first], taken[program])]
+            row = {key: statistics.median(one[key] for one in taken[program]) for key in ('wall', 'cpu', 'memory')}
+            row |= {'clip': clip.name, 'program': program, 'ratio': statistics.median(ratios), 'ratios': ratios, 'video': digests[program]}
+            rows.append(row)
+            spread = f'{min(ratios):.2f} to {max(ratios):.2f}'
+            print(f'{clip.name:24} {row["wall"]:6.2f} s {row["cpu"]:6.2f} s {row["memory"]:5.0f} MiB {row["ratio"]:5.2f} ({spread}) '
+                  f'{row["video"]} {program}', flush=True)
     medians = {}
     for program in options.programs:
         medians[program] = statistics.median(row['ratio'] for row in rows if row['program'] == program)
