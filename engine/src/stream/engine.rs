@@ -398,13 +398,12 @@ impl Engine {
         search: Search<'_>,
         index: u64,
     ) -> Result<Depths, EngineError> {
-        let (rgb, mut work) = (view.rgb.clone(), std::mem::take(&mut self.work));
-        let Self { settings, workers, state, fitter, .. } = self;
+        let rgb = view.rgb.clone();
+        let Self { settings, workers, work, state, fitter, .. } = self;
         let (found, reconstructed) = rayon::join(
             || found(settings, workers.level(), state.as_ref(), search, &rgb, index),
-            || Context::new(settings, workers, &mut work, fitter, tiles, state.as_ref()).reconstruct(view, None, index),
+            || Context::new(settings, workers, work, fitter, tiles, state.as_ref()).reconstruct(view, None, index),
         );
-        self.work = work;
         reconstructed?;
         Ok(found.counted(&mut self.work))
     }
