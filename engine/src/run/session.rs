@@ -248,7 +248,7 @@ impl Session {
         }
         loop {
             if self.task.stop.asked() {
-                self.deliver_pending(keep)?;
+                self.deliver_pending()?;
                 // The first interval is always completed.
                 if self.first.is_none() && self.delivery.key > 0 {
                     self.state = State::Stopped;
@@ -258,7 +258,7 @@ impl Session {
             let mut key = match self.delivery.keys.next_key() {
                 Ok(Some(key)) => key,
                 end => {
-                    self.deliver_pending(keep)?;
+                    self.deliver_pending()?;
                     end?;
                     self.delivery.keys.end();
                     break;
@@ -329,10 +329,11 @@ impl Session {
         Ok(Some(Step { interval, images }))
     }
 
-    /// Delivers the interval that is still to be delivered.
-    fn deliver_pending(&mut self, keep: bool) -> Result<(), Error> {
+    /// Delivers the interval that is still to be delivered. Its images are not kept: intervals wait only in runs that
+    /// keep none.
+    fn deliver_pending(&mut self) -> Result<(), Error> {
         if let Some(pending) = self.pending.take() {
-            let delivered = self.delivery.deliver(pending, keep)?;
+            let delivered = self.delivery.deliver(pending, false)?;
             self.delivered(delivered);
         }
         Ok(())

@@ -212,6 +212,9 @@ fn a_panic_in_any_call_of_a_reconstructor_leaves_the_stream_as_it_was() {
             let found = struck.push(frame, f64::from(k)).expect("taken");
             assert_eq!((found.index, found.start, found.end), (expected.index, expected.start, expected.end), "{call}");
             assert_eq!(found.gaussians, expected.gaussians, "{call}");
+            // The frame of the panic counts as well.
+            let frames = |engine: &Engine| engine.work().stage("fit").map(|stage| stage.done);
+            assert_eq!(frames(&struck), frames(&untouched).map(|n| n + u64::from(k >= 2)), "{call}: the account");
         }
     }
 }
