@@ -36,7 +36,7 @@ impl Engine {
     #[pyo3(signature = (model=None, *, dinov2=None, fusion="persistent", max_age=None, fit="letterbox", depth_range="frame",
         sampling="mean", seed=0, reuse=None, precision=None, isa="auto", threads=0, resolution=None, motion=None, refine=None, flow=None,
         fade=None, refine_every=None, quality=None, find_depth=None,
-        refine_to=None, still=None))]
+        refine_to=None, still=None, behind=None))]
     fn new(
         py: Python<'_>,
         model: Option<PathBuf>,
@@ -61,6 +61,7 @@ impl Engine {
         find_depth: Option<bool>,
         refine_to: Option<f32>,
         still: Option<&str>,
+        behind: Option<&str>,
     ) -> PyResult<Self> {
         model.iter().chain(&dinov2).try_for_each(|path| present(path))?;
         let model = match (model, dinov2) {
@@ -112,6 +113,9 @@ impl Engine {
         }
         if let Some(text) = still {
             settings.still = Some(choice("still", text)?);
+        }
+        if let Some(text) = behind {
+            settings.behind = choice("behind", text)?;
         }
         settings.find_depth = find_depth.or(settings.find_depth);
         settings.refine = refine.or(settings.refine);

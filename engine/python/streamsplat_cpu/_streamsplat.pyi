@@ -332,6 +332,7 @@ class Engine:
         find_depth: bool | None = None,
         refine_to: float | None = None,
         still: str | None = None,
+        behind: Literal["on", "off"] | None = None,
     ) -> Self: ...
     def push(
         self,

@@ -50,22 +50,7 @@ pub struct Preset {
 }
 
 impl Quality {
-    /// Returns its settings.
-    ///
-    /// | | `realtime` | `balanced` | `best` |
-    /// |---|---|---|---|
-    /// | gap | 6 | auto:3-8:40 | 2 |
-    /// | resolution | auto | auto | auto |
-    /// | motion | between | between | between |
-    /// | flow | coarse | fine | fine |
-    /// | fade | fixed | fixed | fixed |
-    /// | find depth | no | yes | yes |
-    /// | refine | 3 | 16 | 64 |
-    /// | refine every | 3 | 1 | 1 |
-    /// | refine to | 43 | 43 | 100 |
-    /// | precision | int8 | int8 | f32 |
-    /// | reuse | exact | exact | exact |
-    /// | still | keep | keep | off |
+    /// Returns its settings. `docs/choosing.md` has them in a table.
     pub fn preset(self) -> Preset {
         let balanced = Preset {
             gap: Gap::Auto(Auto { least: 3, most: 8, decibels: 40.0 }),

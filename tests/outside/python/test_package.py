@@ -225,6 +225,8 @@ def test_depth_is_found_unless_it_is_not_wanted():
     assert (thickness() != 1).any() and (thickness(find_depth=True) != 1).any()
     for options in [{"find_depth": False}, {"quality": "realtime"}, {"motion": "network"}]:
         assert (thickness(**options) == 1).all(), options
+    # Gaussians are added behind the foreground.
+    assert len(thickness()) > len(thickness(behind="off"))
 
 
 def test_arrays_show_the_engines_memory_and_cannot_be_written(intervals):
@@ -280,7 +282,7 @@ def test_frames_in_between_move_colours_and_must_lie_there():
     assert (network.gaussians.velocity == interval(None, motion="network", refine=0).gaussians.velocity).all()
     with pytest.raises(streamsplat_cpu.Error, match="ascending times"):
         interval(frames[3:0:-1])
-    for wrong in ({"motion": "flow"}, {"resolution": "288"}, {"still": "all"}, {"refine_to": 19.0}, {"refine_to": float("nan")}):
+    for wrong in ({"motion": "flow"}, {"resolution": "288"}, {"still": "all"}, {"behind": "no"}, {"refine_to": 19.0}, {"refine_to": float("nan")}):
         with pytest.raises(ValueError):
             streamsplat_cpu.Engine(**wrong)
 

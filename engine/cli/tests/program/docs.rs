@@ -10,6 +10,8 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 use streamsplat::formats::{FORMATS, READ_ONLY};
+use streamsplat::run::options::StreamOptions;
+use streamsplat::stream::Quality;
 
 use crate::support::{Scratch, run};
 
@@ -128,11 +130,10 @@ fn with_tables(page: &str) -> String {
     for part in parts {
         let (name, rest) = part.split_once(" -->\n").expect("a record's name");
         let (_, after) = rest.split_once("<!-- end -->").expect("an end");
-        let table = if name == "formats" {
-            formats()
-        } else {
-            let record = serde_json::from_str(&read(&root().join("bench/record").join(name))).expect("JSON");
-            table(name, &record)
+        let table = match name {
+            "formats" => formats(),
+            "qualities" => presets(),
+            _ => table(name, &serde_json::from_str(&read(&root().join("bench/record").join(name))).expect("JSON")),
         };
         write!(text, "{BEGIN}{name} -->\n{table}<!-- end -->{after}").expect("a string");
     }
@@ -167,6 +168,41 @@ fn qualities(record: &Value) -> String {
         writeln!(page, "| {quality} | {rate:.1} ({least:.1} to {most:.1}) | {psnr:.1} dB |").expect("a string");
     }
     page
+}
+
+/// The options that a quality sets, by their names on the command line, each with its value per quality.
+fn preset_options() -> BTreeMap<String, Vec<String>> {
+    let mut rows: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for &quality in Quality::ALL {
+        let options = StreamOptions { quality: Some(quality), ..StreamOptions::default() };
+        let mut set = BTreeMap::new();
+        recorded(&serde_json::to_value(options.resolved()).expect("JSON"), &mut set);
+        // These have one default for all models.
+        for other in ["quality", "depth-range", "fusion", "sampling"] {
+            set.remove(other).unwrap_or_else(|| panic!("--{other}: a default"));
+        }
+        set.into_iter().for_each(|(name, value)| rows.entry(name).or_default().push(value));
+    }
+    rows
+}
+
+/// Returns a row per option that a quality sets.
+fn presets() -> String {
+    let names: Vec<String> = Quality::ALL.iter().map(|quality| format!(" `{quality}` |")).collect();
+    let mut page = format!("| |{}\n|{}\n", names.concat(), "---|".repeat(1 + names.len()));
+    for (name, values) in preset_options() {
+        writeln!(page, "| `--{name}` | {} |", values.join(" | ")).expect("a string");
+    }
+    page
+}
+
+#[test]
+fn the_help_names_the_options_that_a_quality_sets() {
+    let help = help(&["run", "--help"]).split_whitespace().collect::<Vec<_>>().join(" ");
+    let named = help.split("best; sets ").nth(1).and_then(|rest| rest.split(" where they").next()).expect("a list");
+    let mut named: Vec<&str> = named.split([',', ' ']).filter(|word| !["", "and"].contains(word)).collect();
+    named.sort_unstable();
+    assert_eq!(named, preset_options().into_keys().collect::<Vec<_>>());
 }
 
 /// Returns a row per format of still scenes.
@@ -259,7 +295,8 @@ fn raster(record: &Value) -> String {
 
 #[test]
 fn tables_of_measurements_are_those_of_the_records() {
-    for (page, least) in [("README.md", 1), ("docs/performance.md", 5), ("docs/formats.md", 1)] {
+    for (page, least) in [("README.md", 1), ("docs/performance.md", 5), ("docs/formats.md", 1), ("docs/choosing.md", 1)]
+    {
         let text = read(&root().join(page));
         assert!(text.matches(BEGIN).count() >= least, "{page}: tables of records");
         assert_generated(page, &with_tables(&text));
