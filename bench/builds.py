@@ -2,8 +2,8 @@
 
 CLIPS is a folder of clips, each a folder of images. Clip by clip and round by round, each program runs `run CLIP --threads 2 --emit rgb --out FILE.y4m` in
 turn, in the opposite order in every second round. For each clip and program it prints the medians of wall clock, processor time and peak memory, the median
-over rounds of the first program's wall clock divided by this one's, and the digest of the video. It ends with the median of these ratios over clips.
-A program whose video differs from round to round is an error.
+over rounds of the first program's wall clock divided by this one's, the PSNR of its images (mean over frames, at the source's own size, from one more run
+to PNG files), and the digest of the video. It ends with the median of these ratios over clips. A program whose video differs from round to round is an error.
 """
 
 import argparse
@@ -16,6 +16,8 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+
+from delivered import db, errors, frames
 
 
 def run(program, clip, video, quality):
@@ -30,6 +32,15 @@ def run(program, clip, video, quality):
         sys.exit(f'{program}: exit code {child.returncode}')
     digest = hashlib.sha256(video.read_bytes()).hexdigest()[:8]
     return {'wall': wall, 'cpu': used.ru_utime + used.ru_stime, 'memory': used.ru_maxrss / 1024}, digest
+
+
+def psnr(program, clip, quality, truth):
+    """Mean over frames of the PSNR of the images that `program` draws."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder, 'out')
+        subprocess.run([program, 'run', clip, '--quality', quality, '--emit', 'rgb', '--size', 'source', '--out', out, '--quiet'], check=True)
+        count = len(list((out / 'frames').iterdir()))
+        return statistics.mean(db(error) for error in errors(frames(out / 'frames'), truth, count))
 
 
 def main():
@@ -49,6 +60,7 @@ def main():
     rows, first = [], options.programs[0]
     for clip in clips:
         taken, digests = {program: [] for program in options.programs}, {}
+        truth = frames(clip)
         for number in range(options.rounds):
             for program in options.programs[:: -1 if number % 2 else 1]:
                 with tempfile.TemporaryDirectory() as folder:
@@ -60,10 +72,11 @@ def main():
             ratios = [a['wall'] / b['wall'] for a, b in zip(taken[first], taken[program])]
             row = {key: statistics.median(one[key] for one in taken[program]) for key in ('wall', 'cpu', 'memory')}
             row |= {'clip': clip.name, 'program': program, 'ratio': statistics.median(ratios), 'ratios': ratios, 'video': digests[program]}
+            row['psnr'] = psnr(program, clip, options.quality, truth)
             rows.append(row)
             spread = f'{min(ratios):.2f} to {max(ratios):.2f}'
             print(f'{clip.name:24} {row["wall"]:6.2f} s {row["cpu"]:6.2f} s {row["memory"]:5.0f} MiB {row["ratio"]:5.2f} ({spread}) '
-                  f'{row["video"]} {program}', flush=True)
+                  f'{row["psnr"]:.2f} dB {row["video"]} {program}', flush=True)
     medians = {}
     for program in options.programs:
         medians[program] = statistics.median(row['ratio'] for row in rows if row['program'] == program)

@@ -119,6 +119,11 @@ impl Dino {
         self.patch_embed.bytes() + tables + blocks + self.norm.bytes()
     }
 
+    /// Frees the memory that is kept for intermediate results of the next call. No result depends on it.
+    pub fn release(&self) {
+        self.workspaces.release();
+    }
+
     /// Features of a frame `rgb [3, height, width]` in [0, 1], of any size.
     ///
     /// # Errors

@@ -40,6 +40,11 @@ impl<D: Borrow<Dino>> DinoSession<D> {
         self.cache.as_ref().map_or(0, PartCache::bytes)
     }
 
+    /// The network.
+    pub fn dino(&self) -> &Dino {
+        self.dino.borrow()
+    }
+
     /// Forgets everything but the counts: the next call is computed in full.
     pub fn forget(&mut self) {
         self.cache = self.cache.as_ref().map(PartCache::emptied);

@@ -117,6 +117,11 @@ impl Network {
         self.encoder.bytes() + upsamplers + heads + self.decoder.bytes()
     }
 
+    /// Frees the memory that is kept for intermediate results of the next call. No result depends on it.
+    pub fn release(&self) {
+        self.workspaces.release();
+    }
+
     /// Returns a session. With `saving` it keeps results for the next frame of a stream: see [`crate::reuse`].
     pub fn session(&self, saving: Option<Saving>) -> Session<&Network> {
         Session::new(self, saving)

@@ -229,6 +229,8 @@ impl Engine {
             }
             None => None,
         };
+        // The colours' maps can have the memory of the network's intermediate results.
+        tiles.tiles.iter().for_each(|tile| tile.session.release());
         let Depths { found, first, window } = depths;
         if let Some(first) = first {
             self.lift_first(tiles, first);

@@ -140,4 +140,9 @@ impl Session for Stages {
         self.network.forget();
         self.dino.iter_mut().for_each(DinoSession::forget);
     }
+
+    fn release(&self) {
+        self.network.network().release();
+        self.dino.iter().for_each(|dino| dino.dino().release());
+    }
 }

@@ -115,4 +115,8 @@ pub trait Session: Send + Sync {
 
     /// Discards kept results: the next call is computed in full.
     fn forget(&mut self) {}
+
+    /// Frees memory for intermediate results that is kept for the next call. The stream calls it after each frame. No
+    /// result depends on it.
+    fn release(&self) {}
 }

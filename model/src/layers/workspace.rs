@@ -28,6 +28,11 @@ impl Workspaces {
         kept().push(lent);
         result
     }
+
+    /// Frees those that are not lent.
+    pub(crate) fn release(&self) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
 }
 
 /// The first `len` values of `memory`, which grows if it must.
@@ -48,6 +53,11 @@ mod tests {
             assert_eq!(sized(&mut work.mixed, 900).as_ptr() as usize, first);
             let inner = workspaces.lend(|work| sized(&mut work.mixed, 900).as_ptr() as usize);
             assert_ne!(inner, first);
+            workspaces.release();
+            // The one that is lent.
+            assert_eq!(sized(&mut work.mixed, 900).as_ptr() as usize, first);
         });
+        workspaces.release();
+        assert_eq!(workspaces.lend(|work| work.mixed.bytes()), 0);
     }
 }

@@ -47,9 +47,11 @@ impl ColourMap {
                 let walk = Walk { splats, list, shape, tile: [tile % columns, tile / columns], size };
                 // No bit depends on which tiles are kept.
                 slot.kept = used.load(Ordering::Relaxed) < budget;
-                let record = if slot.kept { &mut slot.record } else { &mut thread.record };
+                let record = &mut thread.record;
                 dispatch(level, RecordTile { walk, light: &mut thread.light, record, least });
                 if slot.kept {
+                    // A record that grows hit by hit would have room for up to twice its hits.
+                    slot.record.set(record);
                     used.fetch_add(slot.record.bytes(), Ordering::Relaxed);
                 } else {
                     slot.record = Record { gaussians: thread.record.gaussians.clone(), ..Record::default() };

@@ -72,6 +72,25 @@ impl Record {
             + size_of_val(&*self.rest)
     }
 
+    /// Makes this a copy of `of` in its own memory, or in new memory of the right size.
+    pub(super) fn set(&mut self, of: &Record) {
+        fn set<T: Copy>(to: &mut Vec<T>, of: &[T]) {
+            to.clear();
+            if to.capacity() < of.len() || to.capacity() / 2 > of.len() {
+                *to = Vec::with_capacity(of.len());
+            }
+            to.extend_from_slice(of);
+        }
+        let Record { gaussians, ends, blocks, weights, units, light, rest } = of;
+        set(&mut self.gaussians, gaussians);
+        set(&mut self.ends, ends);
+        set(&mut self.blocks, blocks);
+        set(&mut self.weights, weights);
+        set(&mut self.units, units);
+        set(&mut self.light, light);
+        set(&mut self.rest, rest);
+    }
+
     /// The splats: place in the record, Gaussian, hits.
     #[inline(always)]
     pub(super) fn splats(&self) -> impl Iterator<Item = (usize, u32, std::ops::Range<usize>)> + '_ {
