@@ -520,7 +520,7 @@ fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
         "raster::ColourMap::prepare_in": {
             ColourMap::new(level).prepare_in(&mut Preparation::new(level), &ONE, &FLAT, [HALF; 2], |_| true);
         };
-        "raster::ColourMap::prepare_tiles": ColourMap::new(level).prepare_tiles(&ONE, &FLAT, [HALF; 2], |_| true);
+        "raster::ColourMap::prepare_blocks": ColourMap::new(level).prepare_blocks(&ONE, &FLAT, [HALF; 2], |_| true);
         "raster::ColourMap::forward": map([8, 8]).forward(&[[0.5; 3]], [0.0; 3], &mut [0.0; 12]);
         "raster::ColourMap::adjoint": map([8, 8]).adjoint(&[0.5; 192], &mut []);
         "raster::ColourMap::normal": map([8, 8]).normal(&[], &mut [[0.0; 3]]);

@@ -462,7 +462,7 @@ fn colours_as_a_linear_map() {
                     map.column_sums(&mut two);
                     all.extend(one);
                     all.extend(two.as_flattened());
-                    map.prepare_tiles(&gaussians, &projection, [width, height], |tile| tile % 2 == 0);
+                    map.prepare_blocks(&gaussians, &projection, [width, height], |[x, y]| (x + y) % 2 == 0);
                     map.forward(gaussians.rgb, [0.1; 3], &mut image);
                     all.append(&mut image);
                     all

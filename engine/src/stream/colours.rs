@@ -20,7 +20,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{
-    ColourFit, ColourMap, Effort, FitView, Gaussians, Preparation, Projection, Solution, TILE_PIXELS,
+    ColourFit, ColourMap, Effort, FitView, Gaussians, Preparation, Projection, Solution,
 };
 use streamsplat_model::StaticGaussians;
 
@@ -50,8 +50,10 @@ const FAR_RANGE: [f32; 2] = [-4.0, 5.0];
 const BACKGROUND: [f32; 3] = [0.5; 3];
 
 type Colours = Vec<[f32; 3]>;
-/// Rows and columns of pixels of a raster tile.
+/// Rows and columns of a rectangle of pixels.
 pub(super) type Pixels = [Range<usize>; 2];
+/// Side of the rasteriser's blocks, in pixels.
+const BLOCK: usize = 4;
 
 /// Maps from colours to images, and their memory, kept from fit to fit.
 pub(super) struct Fitter {
@@ -76,7 +78,7 @@ pub(super) struct Rates<'a> {
     pub(super) lifted: bool,
     /// The mean square error up to which a tile of an image is close enough to its frame.
     pub(super) close: f64,
-    /// The raster tiles whose pixels count.
+    /// The blocks of 4×4 pixels that count.
     pub(super) wanted: &'a dyn Fn(Pixels) -> bool,
 }
 
@@ -88,6 +90,14 @@ pub(super) struct Target<'a> {
     pub(super) rgb: &'a [f32],
 }
 
+/// Returns whether each block of 4×4 pixels is wanted, row by row.
+fn blocks([height, width]: [usize; 2], wanted: &dyn Fn(Pixels) -> bool) -> Vec<bool> {
+    let along = |at: usize, size: usize| at * BLOCK..((at + 1) * BLOCK).min(size);
+    let rows = 0..height.div_ceil(BLOCK);
+    let row = |y: usize| (0..width.div_ceil(BLOCK)).map(move |x| [along(y, height), along(x, width)]);
+    rows.flat_map(row).map(wanted).collect()
+}
+
 impl Fitter {
     /// A fitter without buffers yet.
     pub(super) fn new(level: Level) -> Self {
@@ -96,7 +106,7 @@ impl Fitter {
 
     /// Fits the colours c₀ of a key frame `[3, H, W]`; returns them with the number of steps taken. `held`: the factor
     /// on each Gaussian's unknowns ([`FitView`]), 0 for one that keeps its colour; empty where all are free. `wanted`:
-    /// the raster tiles whose pixels count.
+    /// the blocks of 4×4 pixels that count.
     pub(super) fn key(
         &mut self,
         gaussians: &StaticGaussians,
@@ -123,7 +133,7 @@ impl Fitter {
             true => Vec::new(),
             false => view.index.iter().map(|&i| held[i as usize]).collect(),
         };
-        let fitted = vec![self.prepare(0, view, factor, resolution, wanted)];
+        let fitted = vec![self.prepare(0, view, factor, resolution, &blocks(resolution, wanted))];
         let Solution { change, steps: taken } = self.solve(&fitted, &[frame], &gaussians.rgb, RIDGE, (steps, 0.0));
         let mut colours = gaussians.rgb.clone();
         for (i, (colour, change)) in colours.iter_mut().zip(change).enumerate() {
@@ -143,6 +153,7 @@ impl Fitter {
         if targets.is_empty() {
             return (gaussians.rgb_rate.clone(), 0);
         }
+        let wanted = blocks(resolution, wanted);
         // One view after another: only the weights of a view are kept.
         let fitted: Vec<Fitted> = targets
             .iter()
@@ -154,7 +165,7 @@ impl Fitter {
                     false => gaussians.reference[i as usize].tau(target.t),
                 };
                 let factor = view.index.par_iter().map(tau).collect();
-                self.prepare(place, view, factor, resolution, wanted)
+                self.prepare(place, view, factor, resolution, &wanted)
             })
             .collect();
         // Colours that change already enter with their value halfway.
@@ -183,26 +194,22 @@ impl Fitter {
         (rates, taken)
     }
 
-    /// Prepares map `place` for a view.
+    /// Prepares map `place` for a view. `wanted`: whether each block of 4×4 pixels counts, row by row.
     fn prepare(
         &mut self,
         place: usize,
         view: Snapshot,
         factor: Vec<f32>,
         [height, width]: [usize; 2],
-        wanted: &dyn Fn(Pixels) -> bool,
+        wanted: &[bool],
     ) -> Fitted {
         let Self { level, maps, preparation } = self;
         maps.resize_with(maps.len().max(place + 1), || ColourMap::new(*level).from_weight(LEAST_WEIGHT));
         let projection = Projection::Orthographic { focal: [0.5 * width as f32, 0.5 * height as f32] };
         let Snapshot { index, mean, scale, opacity, rgb, .. } = view;
         let gaussians = Gaussians { mean: &mean, scale: &scale, rotation: None, opacity: &opacity, rgb: &rgb };
-        let columns = width.div_ceil(TILE_PIXELS[0]);
-        let of_tile = |tile: usize| {
-            let [x, y] = [tile % columns * TILE_PIXELS[0], tile / columns * TILE_PIXELS[1]];
-            wanted([y..(y + TILE_PIXELS[1]).min(height), x..(x + TILE_PIXELS[0]).min(width)])
-        };
-        maps[place].prepare_in(preparation, &gaussians, &projection, [width, height], of_tile);
+        let columns = width.div_ceil(BLOCK);
+        maps[place].prepare_in(preparation, &gaussians, &projection, [width, height], |[x, y]| wanted[y * columns + x]);
         Fitted { unknown: index, factor }
     }
 

@@ -5,13 +5,19 @@
 //! number of frames in the mean, and μ the mean of d per channel. Then the block
 //!
 //! ```text
-//! rests    where in every frame   rms(d) ≤ R and rms of d's means over 4×4 pixels ≤ S
+//! rests    where in every frame   rms(d) ≤ R and rms of d's means over 4×4 pixels ≤ S,
+//!                                 or rms(d − μ) ≤ CLOSE, that of its means ≤ CLOSE_CELLS, and |μ| small
 //! drifts   where in every frame   the same of d − μ, |μ| ≤ D, and |μ − t·μ(key frame)| ≤ S
 //! changes  otherwise
 //!
 //! σ = the 40th percentile of rms(d)/√(1 + 1/m) over blocks and frames
 //! R = MARGIN·σ·√(1 + 1/m) + ROUNDING     S = R/2
 //! ```
+//!
+//! The second line counts where the noise is that of a codec: where it is not white, or less than the rounding of
+//! 8-bit frames. A codec updates blocks at different times, so that the differences of quiet blocks are neither small
+//! nor white. There a block that stays within [`CLOSE`] of its mean is kept, and |μ| and |μ − t·μ(key frame)| may be
+//! [`CLOSE_MEAN`].
 //!
 //! σ estimates the camera's noise, at most [`MOST_NOISE`] where it is white and [`MOST_CHANGE`] where it is not. Means
 //! over 4×4 pixels of white noise have a quarter of its deviation; motion and a codec's artefacts change them nearly as
@@ -50,6 +56,12 @@ const MOST_CHANGE: f64 = 0.5 / 255.0;
 const WHITE: f64 = 0.35;
 /// The greatest difference that counts as noise, in standard deviations of it.
 const MARGIN: f64 = 1.35;
+/// The greatest difference without its mean that is close enough where noise is that of a codec, 42.1 dB, and that of
+/// its means over cells.
+const CLOSE: f64 = 2.0 / 255.0;
+const CLOSE_CELLS: f64 = 0.8 * CLOSE;
+/// The greatest mean of such a difference, per channel.
+const CLOSE_MEAN: f64 = 1.0 / 255.0;
 /// Rounding of 8-bit frames.
 const ROUNDING: f64 = 0.4 / 255.0;
 /// Largest drift of a block in one interval.
@@ -291,20 +303,29 @@ impl Kept {
         let white = cells <= WHITE * WHITE * square;
         let most = if white { MOST_NOISE } else { MOST_CHANGE };
         let noise = levels[quiet][0].sqrt().min(most);
+        let codec = !white || noise < ROUNDING;
         let changes: Vec<Change> = (0..blocks.count())
             .map(|at| {
                 let rms = MARGIN * noise * wider(at).sqrt() + ROUNDING;
                 let structure = 0.5 * rms;
                 let (rms2, structure2) = (rms * rms, structure * structure);
                 let all = &differences[at];
-                if all.iter().all(|d| d.square <= rms2 && d.cells <= structure2) {
+                let offset = |d: &Difference| d.mean.iter().map(|mean| mean * mean).sum::<f64>() / 3.0;
+                let noise = |d: &Difference, offset: f64| d.square - offset <= rms2 && d.cells - offset <= structure2;
+                let close = |d: &Difference| {
+                    let [square, cells] = [d.square, d.cells].map(|square| square - offset(d));
+                    codec && square <= CLOSE * CLOSE && cells <= CLOSE_CELLS * CLOSE_CELLS
+                };
+                let most = if codec { structure.max(CLOSE_MEAN) } else { structure };
+                let level = |d: &Difference| d.mean.iter().all(|mean| mean.abs() <= most);
+                let rests = |d: &Difference| noise(d, 0.0) || (close(d) && level(d));
+                if all.iter().all(rests) {
                     return Change::None;
                 }
                 let last = all.last().map_or([0.0; 3], |d| d.mean);
                 let drifts = |(d, (t, _)): (&Difference, &(f32, &mut Vec<f32>))| {
-                    let offset = d.mean.iter().map(|mean| mean * mean).sum::<f64>() / 3.0;
-                    let along = (0..3).all(|c| (d.mean[c] - f64::from(*t) * last[c]).abs() <= structure);
-                    d.square - offset <= rms2 && d.cells - offset <= structure2 && along
+                    let along = (0..3).all(|c| (d.mean[c] - f64::from(*t) * last[c]).abs() <= most);
+                    (noise(d, offset(d)) || close(d)) && along
                 };
                 let near = last.iter().all(|mean| mean.abs() <= DRIFT);
                 if near && all.iter().zip(frames.iter()).all(drifts) { Change::Colours } else { Change::All }
@@ -430,7 +451,7 @@ impl Kept {
 }
 
 /// Pixels that a block's Gaussians extend beyond it.
-const REACH: usize = 4;
+const REACH: usize = 8;
 /// Pixels around the changing blocks that flow reads.
 const MARGIN_OF_FLOW: usize = 32;
 
@@ -568,6 +589,28 @@ mod tests {
         assert!(error(&fading[3], &lit(9, 4.0)) < 1.9 * f64::from(noise));
         let mut flickering: Vec<Vec<f32>> = [6.0, 0.0, 6.0, 1.0].iter().zip(2..).map(|(l, s)| lit(s, *l)).collect();
         assert!(keep(&mean, None, &mut flickering).is_none());
+    }
+
+    #[test]
+    fn blocks_that_a_codec_updates_are_kept_while_they_are_close_to_their_mean() {
+        let mean = picture(0.0, 0);
+        // Every cell of 4×4 pixels is brighter or darker in each frame, as after coarse quantisation.
+        let coded = |frame: usize, strength: f32| -> Vec<f32> {
+            let sign = |i: usize| {
+                let (x, y) = (i % SIZE[1] / CELL, i / SIZE[1] / CELL);
+                if (x + y + (frame >> (x / 4 % 2))) % 2 == 0 { 1.0 } else { -1.0 }
+            };
+            mean.iter().enumerate().map(|(i, value)| value + sign(i) * strength / 255.0).collect()
+        };
+        let mut frames: Vec<Vec<f32>> = (0..4).map(|frame| coded(frame, 1.5)).collect();
+        let came = frames.clone();
+        let kept = keep(&mean, None, &mut frames).expect("all of it");
+        assert_eq!(kept.share(), [20, 20]);
+        for (shown, came) in frames.iter().zip(&came) {
+            assert!(error(shown, came) < 2.0 / 255.0, "{}", 255.0 * error(shown, came));
+        }
+        let mut frames: Vec<Vec<f32>> = (0..4).map(|frame| coded(frame, 2.5)).collect();
+        assert!(keep(&mean, None, &mut frames).is_none());
     }
 
     #[test]

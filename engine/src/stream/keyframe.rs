@@ -212,7 +212,7 @@ impl Context<'_> {
         }
     }
 
-    /// Fits the colours to the frame on the raster tiles that are `wanted`, where fits are requested at all.
+    /// Fits the colours to the frame on the blocks of pixels that are `wanted`, where fits are requested at all.
     fn coloured(
         &mut self,
         gaussians: Arc<StaticGaussians>,

@@ -13,7 +13,7 @@ use super::sort::Entry;
 use crate::parallel::Disjoint;
 use crate::simd::{LANES, Operation, Simd};
 
-pub(super) use walk::{BLOCKS, Block, Hit, Lanes, Shape, Sink, Transmittance, Walk, corner};
+pub(super) use walk::{BLOCKS, Block, BlockSet, Hit, Lanes, Shape, Sink, Transmittance, Walk, corner};
 
 /// Colour of 4×4 pixels.
 type Rgb = [Lanes; 3];

@@ -18,6 +18,38 @@ const WHOLE_BOX: usize = 12;
 /// All pixels of a block.
 const ALL: u16 = u16::MAX;
 
+/// Some of a tile's blocks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in super::super) struct BlockSet(u128);
+const _: () = assert!(BLOCKS <= 128);
+
+impl BlockSet {
+    pub(in super::super) const ALL: Self = Self(u128::MAX);
+
+    /// Those of the tile of this column and row for which `wanted` returns true; it is called with the column and the
+    /// row of each block that has a pixel in an image of `[width, height]`.
+    pub(in super::super) fn of(
+        tile: [usize; 2],
+        [width, height]: [usize; 2],
+        wanted: impl Fn([usize; 2]) -> bool,
+    ) -> Self {
+        let in_set = |block: &usize| {
+            let [x, y] = corner(tile, *block);
+            x < width && y < height && wanted([x / BLOCK, y / BLOCK])
+        };
+        Self((0..BLOCKS).filter(in_set).fold(0, |set, block| set | 1 << block))
+    }
+
+    pub(in super::super) fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    #[inline(always)]
+    pub(in super::super) fn has(self, block: usize) -> bool {
+        self.0 >> block & 1 == 1
+    }
+}
+
 /// A value for each of 4×4 pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(64))]
@@ -57,9 +89,10 @@ pub(in super::super) struct Transmittance {
 }
 
 impl Transmittance {
-    /// Sets 1 inside an image of `width`×`height` pixels; pixels outside are finished from the start.
+    /// Sets 1 inside an image of `width`×`height` pixels. Pixels outside, and those of blocks that are not `wanted`,
+    /// are finished from the start.
     #[inline(always)]
-    fn clear(&mut self, [column, row]: [usize; 2], [width, height]: [usize; 2]) {
+    fn clear(&mut self, [column, row]: [usize; 2], [width, height]: [usize; 2], wanted: BlockSet) {
         self.left.clear();
         self.left.resize(BLOCKS, Lanes([1.0; LANES]));
         self.finished.clear();
@@ -67,6 +100,10 @@ impl Transmittance {
         self.done.clear();
         self.done.resize(BLOCKS, 0);
         for block in 0..BLOCKS {
+            if !wanted.has(block) {
+                (self.left[block], self.done[block]) = (Lanes::ZERO, ALL);
+                continue;
+            }
             let [x, y] = corner([column, row], block);
             if x + BLOCK <= width && y + BLOCK <= height {
                 continue;
@@ -214,7 +251,19 @@ impl Walk<'_> {
     /// Passes the weights of the list to `sink`, front to back, until all pixels are finished.
     #[inline(always)]
     pub(in super::super) fn run<S: Simd, K: Sink<S>>(&self, s: S, light: &mut Transmittance, sink: &mut K) -> Walked {
-        light.clear(self.tile, self.size);
+        self.run_on(s, light, BlockSet::ALL, sink)
+    }
+
+    /// [`Walk::run`] on the blocks that are `wanted`.
+    #[inline(always)]
+    pub(in super::super) fn run_on<S: Simd, K: Sink<S>>(
+        &self,
+        s: S,
+        light: &mut Transmittance,
+        wanted: BlockSet,
+        sink: &mut K,
+    ) -> Walked {
+        light.clear(self.tile, self.size, wanted);
         match self.shape.form {
             Form::Separable => self.walk::<S, K, true>(s, light, sink),
             Form::General => self.walk::<S, K, false>(s, light, sink),

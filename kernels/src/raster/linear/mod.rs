@@ -46,7 +46,8 @@ use rayon::prelude::*;
 use tracing::debug_span;
 
 use super::bin::Grid;
-use super::blend::{BLOCKS, Lanes, Shape, Transmittance, Walk};
+use super::blend::{BLOCKS, BlockSet, Lanes, Shape, Transmittance, Walk, corner};
+use super::project::BLOCK;
 use super::rasteriser::{Rasteriser, finite_background};
 use super::sort::Entry;
 use super::{Gaussians, Projection, Request};
@@ -80,7 +81,7 @@ pub struct ColourMap {
     size: [usize; 2],
     grid: Grid,
     tiles: Vec<Tile>,
-    /// Tiles that are not left out, most hits first.
+    /// Tiles with a block that is not left out, most hits first.
     order: Vec<u32>,
     /// Start of the splats of each tile's record in `slots`; one more than tiles.
     starts: Vec<usize>,
@@ -104,11 +105,19 @@ impl Preparation {
 }
 
 /// The record of a tile.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Tile {
     record: Record,
+    /// The blocks that are not left out.
+    wanted: BlockSet,
     /// True if the record holds weights; otherwise they are recomputed where they are needed.
     kept: bool,
+}
+
+impl Default for Tile {
+    fn default() -> Self {
+        Self { record: Record::default(), wanted: BlockSet::ALL, kept: false }
+    }
 }
 
 /// Buffers between calls.
@@ -174,10 +183,10 @@ impl ColourMap {
     /// # Panics
     /// As [`super::render`], except for colours.
     pub fn prepare(&mut self, gaussians: &Gaussians<'_>, projection: &Projection, size: [usize; 2]) {
-        self.prepare_tiles(gaussians, projection, size, |_| true);
+        self.prepare_blocks(gaussians, projection, size, |_| true);
     }
 
-    /// [`ColourMap::prepare_tiles`] in memory shared with other maps, to the same bits. A map that cannot keep all its
+    /// [`ColourMap::prepare_blocks`] in memory shared with other maps, to the same bits. A map that cannot keep all its
     /// weights keeps the memory.
     ///
     /// # Panics
@@ -188,26 +197,27 @@ impl ColourMap {
         gaussians: &Gaussians<'_>,
         projection: &Projection,
         size: [usize; 2],
-        wanted: impl Fn(usize) -> bool,
+        wanted: impl Fn([usize; 2]) -> bool,
     ) {
         std::mem::swap(&mut self.rasteriser, &mut memory.0);
-        self.prepare_tiles(gaussians, projection, size, wanted);
+        self.prepare_blocks(gaussians, projection, size, wanted);
         if self.order.iter().all(|&tile| self.tiles[tile as usize].kept) {
             std::mem::swap(&mut self.rasteriser, &mut memory.0);
         }
     }
 
-    /// [`ColourMap::prepare`] for the pixels of the tiles that are `wanted`, by row-major index. Pixels of the others
-    /// are no part of the map: [`ColourMap::forward`] leaves them unchanged, and their residuals are ignored.
+    /// [`ColourMap::prepare`] for the pixels of the blocks of 4×4 pixels that are `wanted`, by column and row. Pixels
+    /// of the others are no part of the map: [`ColourMap::forward`] leaves them unchanged, and their residuals are
+    /// ignored.
     ///
     /// # Panics
     /// As [`ColourMap::prepare`].
-    pub fn prepare_tiles(
+    pub fn prepare_blocks(
         &mut self,
         gaussians: &Gaussians<'_>,
         projection: &Projection,
         size: [usize; 2],
-        wanted: impl Fn(usize) -> bool,
+        wanted: impl Fn([usize; 2]) -> bool,
     ) {
         let _span = debug_span!("colour_map", gaussians = gaussians.len(), width = size[0], height = size[1]).entered();
         // Means are passed as colours: where they are not finite the Gaussian is dropped in any case.
@@ -219,7 +229,13 @@ impl ColourMap {
         self.rasteriser.coarse(&gaussians, &now.view, grid, false);
         (self.shape, self.size, self.grid) = (Shape::of(&now.view), size, grid);
         self.order.clear();
-        self.order.extend((0..grid.len() as u32).filter(|&tile| wanted(tile as usize)));
+        self.tiles.resize_with(grid.len(), Tile::default);
+        for (index, tile) in self.tiles.iter_mut().enumerate() {
+            tile.wanted = BlockSet::of([index % grid.columns, index / grid.columns], size, &wanted);
+            if !tile.wanted.is_empty() {
+                self.order.push(index as u32);
+            }
+        }
         self.record();
         self.index(gaussians.len());
     }
@@ -237,6 +253,16 @@ impl ColourMap {
     /// Tiles across and down, of [`super::TILE_PIXELS`] each.
     pub fn tiles(&self) -> [usize; 2] {
         [self.grid.columns, self.grid.rows]
+    }
+
+    /// Pixels of a tile that are not left out.
+    fn area(&self, index: usize) -> usize {
+        let tile = [index % self.grid.columns, index / self.grid.columns];
+        let of_block = |block: usize| {
+            let start = corner(tile, block);
+            (0..2).map(|axis| BLOCK.min(self.size[axis].saturating_sub(start[axis]))).product::<usize>()
+        };
+        (0..BLOCKS).filter(|block| self.tiles[index].wanted.has(*block)).map(of_block).sum()
     }
 
     /// Bytes of weights that are kept.
@@ -266,7 +292,8 @@ impl ColourMap {
     ) -> R {
         thread.clear();
         let tile = [index % self.grid.columns, index / self.grid.columns];
-        let place = Place { tile, size: self.size };
+        let wanted = self.tiles[index].wanted;
+        let place = Place { tile, size: self.size, wanted };
         let Thread { light, record: spare, pixels, single, .. } = thread;
         let record = if self.tiles[index].kept {
             &self.tiles[index].record
@@ -274,7 +301,7 @@ impl ColourMap {
             let Rasteriser { splats, entries, starts, .. } = &self.rasteriser;
             let list = &entries[starts[index] as usize..starts[index + 1] as usize];
             let walk = Walk { splats, list, shape: self.shape, tile, size: self.size };
-            dispatch(self.level, RecordTile { walk, light, record: &mut *spare, least: self.least });
+            dispatch(self.level, RecordTile { walk, wanted, light, record: &mut *spare, least: self.least });
             &*spare
         };
         let slots = &self.slots[self.starts[index]..self.starts[index + 1]];

@@ -2,7 +2,7 @@
 
 #![expect(unsafe_code, reason = "tasks write sums of splats into one array")]
 
-use super::super::blend::{BLOCKS, Lanes, corner, put_block};
+use super::super::blend::{BLOCKS, BlockSet, Lanes, corner, put_block};
 use super::super::project::BLOCK;
 use super::record::{Record, Unit, Weights};
 use crate::parallel::Disjoint;
@@ -22,11 +22,12 @@ fn whole<S: Simd>(s: S, record: &Record, block: usize, c: usize, sum: &Lanes, ba
     }
 }
 
-/// Position of a tile: its column and row in the grid, width and height of the image.
+/// Position of a tile: its column and row in the grid, width and height of the image; and its blocks that count.
 #[derive(Clone, Copy)]
 pub(super) struct Place {
     pub tile: [usize; 2],
     pub size: [usize; 2],
+    pub wanted: BlockSet,
 }
 
 /// Destination of a tile's sums: those of its splat `at` are contiguous at `slots[at]`.
@@ -134,12 +135,12 @@ fn take_block(plane: &[f32], [width, height]: [usize; 2], [x, y]: [usize; 2]) ->
 }
 
 impl Place {
-    /// Calls `visit` with the blocks that have a pixel in the image, and their first pixel.
+    /// Calls `visit` with the blocks that count and have a pixel in the image, and their first pixel.
     #[inline(always)]
     fn blocks(self, mut visit: impl FnMut(usize, [usize; 2])) {
         for block in 0..BLOCKS {
             let [x, y] = corner(self.tile, block);
-            if x < self.size[0] && y < self.size[1] {
+            if x < self.size[0] && y < self.size[1] && self.wanted.has(block) {
                 visit(block, [x, y]);
             }
         }

@@ -11,7 +11,7 @@ use tracing::debug_span;
 use super::super::blend::Walk;
 use super::super::sort::by_depth;
 use super::record::{Record, RecordTile};
-use super::{ColourMap, Thread, Tile};
+use super::{ColourMap, Thread};
 use crate::parallel::Disjoint;
 use crate::simd::dispatch;
 
@@ -23,7 +23,6 @@ impl ColourMap {
         let starts = &self.rasteriser.starts;
         let length = |tile: u32| starts[tile as usize + 1] - starts[tile as usize];
         self.order.sort_unstable_by_key(|&tile| (std::cmp::Reverse(length(tile)), tile));
-        self.tiles.resize_with(tiles, Tile::default);
         for tile in &mut self.tiles {
             tile.kept = false;
             tile.record.gaussians.clear();
@@ -48,7 +47,7 @@ impl ColourMap {
                 // No bit depends on which tiles are kept.
                 slot.kept = used.load(Ordering::Relaxed) < budget;
                 let record = &mut thread.record;
-                dispatch(level, RecordTile { walk, light: &mut thread.light, record, least });
+                dispatch(level, RecordTile { walk, wanted: slot.wanted, light: &mut thread.light, record, least });
                 if slot.kept {
                     // A record that grows hit by hit would have room for up to twice its hits.
                     slot.record.set(record);

@@ -1,6 +1,6 @@
 //! The weights of a tile, stored: its splats front to back, and for each the blocks on which it is drawn.
 
-use super::super::blend::{BLOCKS, Block, Lanes, Sink, Transmittance, Walk};
+use super::super::blend::{BLOCKS, Block, BlockSet, Lanes, Sink, Transmittance, Walk};
 use super::super::project::Splat;
 use super::super::sort::Entry;
 use crate::simd::{LANES, Operation, Simd};
@@ -54,7 +54,7 @@ pub(super) struct Record {
     pub weights: Vec<Weights>,
     /// Unit of each hit's weights.
     pub units: Vec<Unit>,
-    /// Transmittance behind all splats, one value per block; zero outside the image.
+    /// Transmittance behind all splats, one value per block; zero outside the image and on blocks that are left out.
     pub light: Vec<Lanes>,
     /// Red, green and blue of the weights below the least, one value per block; empty where there is no least weight.
     pub rest: Vec<[Lanes; 3]>,
@@ -112,6 +112,8 @@ impl Record {
 /// Fills a record.
 pub(super) struct RecordTile<'a> {
     pub walk: Walk<'a>,
+    /// The blocks whose weights are recorded.
+    pub wanted: BlockSet,
     pub light: &'a mut Transmittance,
     pub record: &'a mut Record,
     /// The least weight.
@@ -140,7 +142,7 @@ impl Operation for RecordTile<'_> {
             units: [Unit::LEAST; BLOCKS],
             hits: 0,
         };
-        self.walk.run(s, self.light, &mut recorder);
+        self.walk.run_on(s, self.light, self.wanted, &mut recorder);
         record.light.clear();
         record.light.resize(BLOCKS, Lanes::ZERO);
         for (block, light) in record.light.iter_mut().enumerate() {

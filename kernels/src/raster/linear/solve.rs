@@ -312,13 +312,7 @@ impl<'a> ColourFit<'a> {
     fn leave_out(&mut self, tiles: &[Vec<f64>], close: f64) -> bool {
         let far = |[k, tile]: [u32; 2]| {
             let (map, tile) = (self.views[k as usize].map, tile as usize);
-            let [columns, size] = [[map.grid.columns, 0], map.size];
-            let place = [tile % columns[0], tile / columns[0]];
-            let area = (0..2).map(|axis| {
-                let start = place[axis] * super::super::TILE_PIXELS[axis];
-                (start + super::super::TILE_PIXELS[axis]).min(size[axis]) - start
-            });
-            tiles[k as usize][tile] > close * 3.0 * area.product::<usize>() as f64
+            tiles[k as usize][tile] > close * 3.0 * map.area(tile) as f64
         };
         let count = tiles.iter().map(Vec::len).max().unwrap_or(0);
         let mut wanted = vec![false; count];

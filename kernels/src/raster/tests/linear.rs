@@ -326,19 +326,19 @@ fn huge_residuals_are_summed_and_those_that_are_not_finite_count_as_zero() {
 }
 
 #[test]
-fn tiles_left_out_are_no_part_of_the_map() {
+fn blocks_left_out_are_no_part_of_the_map() {
     let size = [131, 77];
     let plane = size[0] * size[1];
     let [width, height] = TILE_PIXELS;
     for projection in projections(size[0], size[1]) {
         let scene = ordinary(3000, true, 26);
         let full = map(Level::detect(), &scene, &projection, size, WEIGHT_BYTES);
+        // Every second tile, and of these three blocks in five.
+        let odd =
+            |x: usize, y: usize| (y / height * full.tiles()[0] + x / width) % 2 == 1 && (x / 4 + 2 * (y / 4)) % 5 < 3;
         let mut part = ColourMap::new(Level::detect());
-        part.prepare_tiles(&scene.gaussians(), &projection, size, |tile| tile % 2 == 1);
-        let inside = |at: usize| {
-            let (x, y) = (at % plane % size[0], at % plane / size[0]);
-            (y / height * part.tiles()[0] + x / width) % 2 == 1
-        };
+        part.prepare_blocks(&scene.gaussians(), &projection, size, |[x, y]| odd(4 * x, 4 * y));
+        let inside = |at: usize| odd(at % plane % size[0], at % plane / size[0]);
         let (colours, target) = (colours(3000, 27), noise(3 * plane, 28));
         let masked: Vec<f32> = target.iter().enumerate().map(|(i, &v)| if inside(i) { v } else { 0.0 }).collect();
         let (found, expected) = (adjoint(&part, &target), adjoint(&full, &masked));
@@ -559,7 +559,9 @@ fn tiles_that_are_close_enough_in_all_views_are_left_out() {
         )
     };
     let mut part = ColourMap::new(Level::detect());
-    part.prepare_tiles(&scene.gaussians(), &projection, size, |tile| tile == 4);
+    part.prepare_blocks(&scene.gaussians(), &projection, size, |[x, y]| {
+        4 * y / TILE_PIXELS[1] * whole.tiles()[0] + 4 * x / TILE_PIXELS[0] == 4
+    });
     let expected = solve(&part, Level::detect(), 0.0);
     assert!(expected.change.iter().any(|change| *change != [0.0; 3]));
     for level in Level::available() {
