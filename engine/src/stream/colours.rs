@@ -55,7 +55,7 @@ pub(super) type Pixels = [Range<usize>; 2];
 /// Side of the rasteriser's blocks, in pixels.
 const BLOCK: usize = 4;
 
-/// Maps from colours to images, and their memory, kept from fit to fit.
+/// Maps from colours to images, and memory that is kept from fit to fit.
 pub(super) struct Fitter {
     level: Level,
     maps: Vec<ColourMap>,
@@ -177,6 +177,8 @@ impl Fitter {
         let ridge = if lifted { RIDGE_LIFTED } else { RIDGE };
         let frames: Vec<&[f32]> = targets.iter().map(|target| target.rgb).collect();
         let Solution { change: mut rates, steps: taken } = self.solve(&fitted, &frames, &from, ridge, (steps, close));
+        // The next frame's network can have their memory.
+        self.maps.clear();
         rates.par_iter_mut().with_min_len(CHUNK).enumerate().for_each(|(i, rate)| {
             if kept.contains(&i) {
                 *rate = gaussians.rgb_rate[i];

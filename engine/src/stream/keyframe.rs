@@ -279,7 +279,14 @@ impl Context<'_> {
             }
         };
         let gaussians = gaussians(tile, work, &tokens, sampling, index)?;
-        let features = Arc::new(Features { embedding, tokens, condition });
+        // The next pair reads them; where positions are drawn, so does a frame that repeats this one.
+        let pairs = self.settings.deforms();
+        let drawn = sampling != Sampling::Mean && tile.session.draws_positions();
+        let features = Arc::new(Features {
+            embedding: if pairs { embedding } else { Embedding { h: Vec::new() } },
+            tokens: if pairs || drawn { tokens } else { Vec::new() },
+            condition,
+        });
         Ok(TileView { features, gaussians: Arc::new(gaussians) })
     }
 }
