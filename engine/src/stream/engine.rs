@@ -29,9 +29,9 @@ use crate::parallax::{self, Evidence, Filled, Found, Window};
 
 /// Turns key frames into a dynamic scene, one interval per key frame.
 ///
-/// State between key frames is bounded and independent of the stream's length: the last frame's input, embedding,
-/// tokens, condition, Gaussians, luma pyramid, depth, means of static blocks and colours behind its foreground, the
-/// last pair's motion, and the survivors of at most `max_age` frames.
+/// State between key frames is bounded and independent of the stream's length: the last frame's input, Gaussians, what
+/// the next frame's network reads of it (embedding, tokens, condition), luma pyramid, depth, means of static blocks and
+/// colours behind its foreground, the last pair's motion, and the survivors of at most `max_age` frames.
 /// Some choices of [`Reuse`] add the network's [`Cache`](streamsplat_model::reuse::Cache).
 pub struct Engine {
     settings: Settings,

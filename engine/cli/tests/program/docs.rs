@@ -178,7 +178,7 @@ fn preset_options() -> BTreeMap<String, Vec<String>> {
         let mut set = BTreeMap::new();
         recorded(&serde_json::to_value(options.resolved()).expect("JSON"), &mut set);
         // These have one default for all models.
-        for other in ["quality", "depth-range", "fusion", "sampling"] {
+        for other in ["quality", "depth-range", "fusion", "sampling", "seed"] {
             set.remove(other).unwrap_or_else(|| panic!("--{other}: a default"));
         }
         set.into_iter().for_each(|(name, value)| rows.entry(name).or_default().push(value));
