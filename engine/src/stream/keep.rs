@@ -598,7 +598,7 @@ mod tests {
         let coded = |frame: usize, strength: f32| -> Vec<f32> {
             let sign = |i: usize| {
                 let (x, y) = (i % SIZE[1] / CELL, i / SIZE[1] / CELL);
-                if (x + y + (frame >> (x / 4 % 2))) % 2 == 0 { 1.0 } else { -1.0 }
+                if (x + y + (frame >> (x / 4 % 2))).is_multiple_of(2) { 1.0 } else { -1.0 }
             };
             mean.iter().enumerate().map(|(i, value)| value + sign(i) * strength / 255.0).collect()
         };
