@@ -20,7 +20,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{
-    ColourFit, ColourMap, Effort, FitView, Gaussians, Preparation, Projection, Solution,
+    BLOCK_PIXELS, ColourFit, ColourMap, Effort, FitView, Gaussians, Preparation, Projection, Solution,
 };
 use streamsplat_model::StaticGaussians;
 
@@ -52,8 +52,6 @@ const BACKGROUND: [f32; 3] = [0.5; 3];
 type Colours = Vec<[f32; 3]>;
 /// Rows and columns of a rectangle of pixels.
 pub(super) type Pixels = [Range<usize>; 2];
-/// Side of the rasteriser's blocks, in pixels.
-const BLOCK: usize = 4;
 
 /// Maps from colours to images, and memory that is kept from fit to fit.
 pub(super) struct Fitter {
@@ -92,9 +90,9 @@ pub(super) struct Target<'a> {
 
 /// Returns whether each block of 4×4 pixels is wanted, row by row.
 fn blocks([height, width]: [usize; 2], wanted: &dyn Fn(Pixels) -> bool) -> Vec<bool> {
-    let along = |at: usize, size: usize| at * BLOCK..((at + 1) * BLOCK).min(size);
-    let rows = 0..height.div_ceil(BLOCK);
-    let row = |y: usize| (0..width.div_ceil(BLOCK)).map(move |x| [along(y, height), along(x, width)]);
+    let along = |at: usize, size: usize| at * BLOCK_PIXELS..((at + 1) * BLOCK_PIXELS).min(size);
+    let rows = 0..height.div_ceil(BLOCK_PIXELS);
+    let row = |y: usize| (0..width.div_ceil(BLOCK_PIXELS)).map(move |x| [along(y, height), along(x, width)]);
     rows.flat_map(row).map(wanted).collect()
 }
 
@@ -210,7 +208,7 @@ impl Fitter {
         let projection = Projection::Orthographic { focal: [0.5 * width as f32, 0.5 * height as f32] };
         let Snapshot { index, mean, scale, opacity, rgb, .. } = view;
         let gaussians = Gaussians { mean: &mean, scale: &scale, rotation: None, opacity: &opacity, rgb: &rgb };
-        let columns = width.div_ceil(BLOCK);
+        let columns = width.div_ceil(BLOCK_PIXELS);
         maps[place].prepare_in(preparation, &gaussians, &projection, [width, height], |[x, y]| wanted[y * columns + x]);
         Fitted { unknown: index, factor }
     }

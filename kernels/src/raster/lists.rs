@@ -12,6 +12,8 @@ use super::rasteriser::Rasteriser;
 use super::sort::by_depth;
 use super::{Gaussians, Projection, Request};
 
+/// Side of a block of a tile, in pixels.
+pub const BLOCK_PIXELS: usize = BLOCK;
 /// Sides of a tile in pixels: across, down.
 pub const TILE_PIXELS: [usize; 2] = [TILE[0] * BLOCK, TILE[1] * BLOCK];
 

@@ -97,7 +97,7 @@ mod world;
 
 pub use falloff::{ALPHA_MIN, Defocus, Falloff};
 pub use linear::{ColourFit, ColourMap, Effort, FitView, Preparation, Solution, WEIGHT_BYTES};
-pub use lists::{Footprint, Lists, TILE_PIXELS};
+pub use lists::{BLOCK_PIXELS, Footprint, Lists, TILE_PIXELS};
 pub use rasteriser::{Rasteriser, Work};
 pub use world::{
     Drawing, FootprintGradient, Projected, WorldGradients, WorldProjection, WorldRasteriser, WorldView,

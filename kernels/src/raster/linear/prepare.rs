@@ -49,8 +49,8 @@ impl ColourMap {
                 let record = &mut thread.record;
                 dispatch(level, RecordTile { walk, wanted: slot.wanted, light: &mut thread.light, record, least });
                 if slot.kept {
-                    // A record that grows hit by hit would have room for up to twice its hits.
-                    slot.record.set(record);
+                    // A copy has the right size; a record that grows hit by hit has room for up to twice its hits.
+                    slot.record = record.clone();
                     used.fetch_add(slot.record.bytes(), Ordering::Relaxed);
                 } else {
                     slot.record = Record { gaussians: thread.record.gaussians.clone(), ..Record::default() };

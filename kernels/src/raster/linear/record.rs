@@ -42,7 +42,7 @@ impl Unit {
 
 /// Weights `α·T` of a tile. A *hit* is a splat and a block of 4×4 pixels with a nonzero stored weight on at least one
 /// pixel, and a weight that is not below the least on one of them.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Record {
     /// Gaussian of each splat that has hits, in drawing order.
     pub gaussians: Vec<u32>,
@@ -70,25 +70,6 @@ impl Record {
             + size_of_val(&*self.units)
             + size_of_val(&*self.light)
             + size_of_val(&*self.rest)
-    }
-
-    /// Makes this a copy of `of` in its own memory, or in new memory of the right size.
-    pub(super) fn set(&mut self, of: &Record) {
-        fn set<T: Copy>(to: &mut Vec<T>, of: &[T]) {
-            to.clear();
-            if to.capacity() < of.len() || to.capacity() / 2 > of.len() {
-                *to = Vec::with_capacity(of.len());
-            }
-            to.extend_from_slice(of);
-        }
-        let Record { gaussians, ends, blocks, weights, units, light, rest } = of;
-        set(&mut self.gaussians, gaussians);
-        set(&mut self.ends, ends);
-        set(&mut self.blocks, blocks);
-        set(&mut self.weights, weights);
-        set(&mut self.units, units);
-        set(&mut self.light, light);
-        set(&mut self.rest, rest);
     }
 
     /// The splats: place in the record, Gaussian, hits.
