@@ -36,7 +36,7 @@ impl Engine {
     #[pyo3(signature = (model=None, *, dinov2=None, fusion="persistent", max_age=None, fit="letterbox", depth_range="frame",
         sampling="mean", seed=0, reuse=None, precision=None, isa="auto", threads=0, resolution=None, motion=None, refine=None, flow=None,
         fade=None, refine_every=None, quality=None, find_depth=None,
-        refine_to=None, still=None, behind=None))]
+        refine_to=None, detail=None, still=None, behind=None))]
     fn new(
         py: Python<'_>,
         model: Option<PathBuf>,
@@ -60,6 +60,7 @@ impl Engine {
         quality: Option<&str>,
         find_depth: Option<bool>,
         refine_to: Option<f32>,
+        detail: Option<u32>,
         still: Option<&str>,
         behind: Option<&str>,
     ) -> PyResult<Self> {
@@ -119,6 +120,10 @@ impl Engine {
         }
         settings.find_depth = find_depth.or(settings.find_depth);
         settings.refine = refine.or(settings.refine);
+        if let Some(share) = detail.filter(|share| *share > 1000) {
+            return Err(wrong(format!("detail: expected 0 to 1000 for each 1000 pixels, found {share}")));
+        }
+        settings.detail = detail.or(settings.detail);
         settings.refine_every = refine_every.or(settings.refine_every);
         let engine = py.detach(|| streamsplat::Engine::new(settings)).map_err(failed)?;
         Ok(Self { inner: Mutex::new(engine) })

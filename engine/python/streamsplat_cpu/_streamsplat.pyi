@@ -331,6 +331,7 @@ class Engine:
         quality: Literal["realtime", "balanced", "best"] | None = None,
         find_depth: bool | None = None,
         refine_to: float | None = None,
+        detail: int | None = None,
         still: str | None = None,
         behind: Literal["on", "off"] | None = None,
     ) -> Self: ...

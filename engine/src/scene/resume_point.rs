@@ -19,6 +19,7 @@
 //! | `kept_count`, `kept_fitted` | U32 `[B]` | frames in the mean of each block; frames in it when colours were last fitted |
 //! | `kept_anchor` | F32 `[A]` | means over cells of blocks at that fit |
 //! | `kept_position`, `kept_scale`, `kept_thickness`, `kept_opacity`, `kept_colour` | F32 `[N,3]`, `[N,2]`, `[N]`, `[N]`, `[N,3]` | its Gaussians |
+//! | `kept_details` | U64 `[1]` | number of them, at the end, that are details |
 //! | `seconds` | F64 `[2]` | the key frame's time, the length of the interval before it |
 
 use std::collections::HashMap;
@@ -70,12 +71,13 @@ pub fn resume_point_to_safetensors(point: Option<&ResumePoint>, note: &str) -> R
             ]);
         }
     }
-    if let Some(KeptState { rgb, past, gaussians: g }) = point.and_then(|point| point.kept.as_deref()) {
+    if let Some(KeptState { rgb, past, gaussians: g, details }) = point.and_then(|point| point.kept.as_deref()) {
         tensors.extend([
             to_tensor("kept_rgb", rgb),
             counts("kept_count", &past.count),
             counts("kept_fitted", &past.fitted),
             to_tensor("kept_anchor", &past.anchor),
+            to_tensor("kept_details", &[*details as u64]),
         ]);
         tensors.extend(g.columns().iter().map(|column| rows(kept_name(column.name), column.width, &column.numbers)));
     }
@@ -208,7 +210,9 @@ fn kept(file: &SafeTensors<'_>) -> Result<Option<KeptState>, String> {
         anchor: from_tensor(file, "kept_anchor", None)?,
     };
     let gaussians = StaticGaussians::read(&mut Kept { file, count: None })?;
-    Ok(Some(KeptState { rgb: from_tensor(file, "kept_rgb", None)?, past, gaussians }))
+    let details: Vec<u64> = from_tensor(file, "kept_details", Some(1))?;
+    let details = usize::try_from(details[0]).unwrap_or(usize::MAX);
+    Ok(Some(KeptState { rgb: from_tensor(file, "kept_rgb", None)?, past, gaussians, details }))
 }
 
 /// The properties of kept Gaussians, all of which a file has, and the number of their values.

@@ -11,12 +11,12 @@
 //!   value.
 //! - **Keep.** Current Gaussians of static blocks ([`keep`](super::keep)) stay as they are: one record from key frame
 //!   to key frame, whose colour may change. They are not matched with others, and from then on precede the new ones in
-//!   drawing order.
+//!   drawing order. Where the frame has details, a kept one may have another index in the new frame ([`Keeps`]).
 //! - **Fuse.** Frame k+1's Gaussians join with their backward field. Identities pass on one to one. Old Gaussians that
 //!   coincide with a new one but pass on no identity end as [merged](Merge) into it. Those that coincide with none are
 //!   vanishing. Where a depth map lifts either frame, matching ignores depth and a tracked point takes the new
-//!   Gaussian's depth. Gaussians added behind others are then matched only among themselves, and no added Gaussian
-//!   becomes a survivor.
+//!   Gaussian's depth. Gaussians added behind others are then matched only among themselves. An old detail passes on
+//!   its identity after the others, a new one takes on none. No added Gaussian becomes a survivor.
 //! - **Hand over.** Old Gaussians that are continued fade out over the last eighth of the interval, new ones fade in
 //!   over the first. So at a key frame the image holds the frame's own Gaussians and the vanishing ones, whichever
 //!   interval it is seen from, and crossing it changes no bit.
@@ -35,7 +35,7 @@ use streamsplat_model::{StaticGaussian, StaticGaussians};
 
 use super::fuse::{Meeting, fuse};
 use super::identities::Identities;
-use super::keep::Change;
+use super::keep::Keeps;
 use super::matching::Lattice;
 use super::reconstructor::Motion;
 use super::{DynamicGaussians, Fusion, Merge, Record, Reference};
@@ -74,20 +74,46 @@ pub(crate) struct CanonicalSet {
 }
 
 /// Layers of a frame's Gaussians, one after another: the model's own, those that a [lift](super::lift) adds along
-/// edges, and those that it adds behind others.
+/// edges, those that it adds behind others, and [details](super::detail).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Layers {
     /// Number of the model's own, on its lattice.
     pub(crate) cells: usize,
-    /// Number of those that are not behind others.
-    pub(crate) seen: usize,
+    /// Number of these and those along edges.
+    pub(crate) outline: usize,
+    /// Number of these and those behind others.
+    pub(crate) behind: usize,
+}
+
+/// The part that a Gaussian has in its frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Layer {
+    /// One of the model's own. Only these become survivors.
+    Own,
+    /// Added along an edge of depth.
+    Outline,
+    /// Added behind others.
+    Behind,
+    /// Added where the fit of colours leaves error.
+    Detail,
 }
 
 impl Layers {
     /// Layers of a frame that only has Gaussians of the model.
     #[cfg(test)]
     pub(crate) fn of_cells(cells: usize) -> Self {
-        Self { cells, seen: cells }
+        Self { cells, outline: cells, behind: cells }
+    }
+
+    /// The layer of a Gaussian by its index in the frame's arrays.
+    pub(super) fn of(self, index: u32) -> Layer {
+        let index = index as usize;
+        match index {
+            _ if index < self.cells => Layer::Own,
+            _ if index < self.outline => Layer::Outline,
+            _ if index < self.behind => Layer::Behind,
+            _ => Layer::Detail,
+        }
     }
 }
 
@@ -120,14 +146,14 @@ pub(crate) struct Step<'a> {
     pub(crate) image: [usize; 2],
     pub(crate) fusion: Fusion,
     pub(crate) max_age: u32,
-    /// What happens to each Gaussian of the frame before; `None` where all are computed. A kept one has the same index
-    /// in both frames.
-    pub(crate) kept: Option<&'a [Change]>,
+    /// The Gaussians of the frame before that are kept; `None` where all are computed.
+    pub(crate) kept: Option<&'a Keeps>,
 }
 
 impl Step<'_> {
-    fn keeps(&self, cell: u32) -> bool {
-        self.kept.is_some_and(|kept| kept[cell as usize] != Change::All)
+    /// The index in the new frame of a Gaussian of the frame before, if it is kept.
+    fn keeps(&self, cell: u32) -> Option<u32> {
+        self.kept.and_then(|kept| kept.index(cell as usize)).map(|index| index as u32)
     }
 }
 
@@ -136,16 +162,25 @@ impl CanonicalSet {
     pub(crate) fn first(gaussians: &Arc<StaticGaussians>, layers: Layers) -> (Self, Advance) {
         let mut set = Self { gaussians: gaussians.clone(), layers, ..Self::default() };
         let mut out = Advance::default();
-        for cell in 0..gaussians.position.len() {
-            let mut record = still(gaussians, cell, 0);
+        let mut drawn = Vec::with_capacity(gaussians.len());
+        for cell in 0..gaussians.len() {
+            let record = still(gaussians, cell, 0);
             if !record.is_sound() {
                 out.dropped += 1;
             } else if record.opacity >= ALPHA_MIN {
-                record.identity = set.identities.fresh();
-                set.current.push(Current { cell: cell as u32, identity: record.identity, birth: 0, offset: [0.0; 3] });
-                out.gaussians.push(record);
+                drawn.push((cell as u32, record));
             }
         }
+        // The same ones whether a lift adds others between them or not.
+        let lifts = |layer: Layer| matches!(layer, Layer::Outline | Layer::Behind);
+        for lifted in [false, true] {
+            for (cell, record) in drawn.iter_mut().filter(|(cell, _)| lifts(layers.of(*cell)) == lifted) {
+                record.identity = set.identities.fresh();
+                set.current.push(Current { cell: *cell, identity: record.identity, birth: 0, offset: [0.0; 3] });
+            }
+        }
+        set.current.sort_unstable_by_key(|current| current.cell);
+        out.gaussians = drawn.into_iter().map(|(_, record)| record).collect();
         (set, out)
     }
 
@@ -153,7 +188,7 @@ impl CanonicalSet {
     pub(crate) fn advance(&self, step: &Step<'_>) -> (Self, Advance) {
         let frame = self.frame + 1;
         let mut out = Advance::default();
-        let (mut old, of_old) = self.updated(step, &mut out.dropped);
+        let (mut old, layers) = self.updated(step, &mut out.dropped);
         let kept = self.kept(step);
         let mut new = arriving(step, frame, &mut out.dropped);
         let mut identities = self.identities.clone();
@@ -166,8 +201,7 @@ impl CanonicalSet {
                 let meeting = Meeting {
                     frame,
                     lattice: Lattice::new(step.layers.cells, step.image),
-                    lasting: of_old.cells,
-                    seen: [of_old.seen, new.partition_point(|arrival| (arrival.cell as usize) < step.layers.seen)],
+                    layers: [&layers, &new.iter().map(|arrival| step.layers.of(arrival.cell)).collect::<Vec<_>>()],
                     lifted: step.lifted,
                     max_age: step.max_age,
                 };
@@ -183,8 +217,8 @@ impl CanonicalSet {
             offset: a.record.offset,
         };
         // In the order in which they are drawn, so that crossing a key frame changes no bit.
-        let staying = self.current.iter().filter(|current| step.keeps(current.cell)).copied();
-        let current = staying.chain(new.iter().map(current)).collect();
+        let staying = |current: &Current| Some(Current { cell: step.keeps(current.cell)?, ..*current });
+        let current = self.current.iter().filter_map(staying).chain(new.iter().map(current)).collect();
         out.kept = old.len()..old.len() + kept.len();
         let of_old =
             old.par_chunks(CHUNK).chain(kept.par_chunks(CHUNK)).map(|records| records.iter().copied().collect());
@@ -221,24 +255,23 @@ impl CanonicalSet {
 
     /// The Gaussians that are kept, over the new interval.
     fn kept(&self, step: &Step<'_>) -> Vec<Record> {
-        let staying = self.current.iter().filter(|current| step.keeps(current.cell));
         let record = |current: &Current| {
             let cell = current.cell as usize;
-            let (then, now) = (self.gaussians.rgb[cell], step.gaussians.rgb[cell]);
-            Record {
+            let (then, now) = (self.gaussians.rgb[cell], step.gaussians.rgb[step.keeps(current.cell)? as usize]);
+            Some(Record {
                 rgb_rate: std::array::from_fn(|channel| now[channel] - then[channel]),
                 identity: current.identity,
                 birth: current.birth,
                 offset: current.offset,
                 ..still(&self.gaussians, cell, self.frame)
-            }
+            })
         };
-        staying.map(record).collect()
+        self.current.iter().filter_map(record).collect()
     }
 
     /// The old Gaussians over the new interval that are not kept: survivors, then the Gaussians of the frame at its
-    /// start. Also their layers, where survivors count among the first.
-    fn updated(&self, step: &Step<'_>, dropped: &mut u64) -> (Vec<Record>, Layers) {
+    /// start. Also the layer of each; survivors were the model's own.
+    fn updated(&self, step: &Step<'_>, dropped: &mut u64) -> (Vec<Record>, Vec<Layer>) {
         let mut old = Vec::with_capacity(self.survivors.len() + self.current.len());
         // The same velocity in the scene's own time.
         let longer = step.length / self.length;
@@ -246,7 +279,7 @@ impl CanonicalSet {
             let velocity = survivor.velocity.map(|v| (f64::from(v) * longer) as f32);
             old.push(Record { velocity, ..*survivor });
         }
-        let leaving: Vec<&Current> = self.current.iter().filter(|current| !step.keeps(current.cell)).collect();
+        let leaving: Vec<&Current> = self.current.iter().filter(|current| step.keeps(current.cell).is_none()).collect();
         old.par_extend(leaving.par_iter().with_min_len(CHUNK).map(|current| {
             let cell = current.cell as usize;
             Record {
@@ -258,16 +291,16 @@ impl CanonicalSet {
                 ..still(&self.gaussians, cell, self.frame)
             }
         }));
-        // Layers are contiguous: a frame with more than one layer keeps no Gaussian.
-        let before = |end: usize| leaving.iter().filter(|current| (current.cell as usize) < end).count();
-        let mut ends = [self.layers.cells, self.layers.seen].map(|end| self.survivors.len() + before(end));
+        let mut layers = vec![Layer::Own; self.survivors.len()];
+        layers.extend(leaving.iter().map(|current| self.layers.of(current.cell)));
         let all = old.len();
         if !old.par_iter().with_min_len(CHUNK).all(Record::is_sound) {
-            ends = ends.map(|end| old[..end].iter().filter(|record| record.is_sound()).count());
+            let mut sound = old.iter().map(Record::is_sound);
+            layers.retain(|_| sound.next() == Some(true));
             old.retain(Record::is_sound);
         }
         *dropped += (all - old.len()) as u64;
-        (old, Layers { cells: ends[0], seen: ends[1] })
+        (old, layers)
     }
 }
 
@@ -287,7 +320,7 @@ fn arriving(step: &Step<'_>, frame: u64, dropped: &mut u64) -> Vec<Arrival> {
         let mut lost = 0;
         let mut new = Vec::with_capacity(CHUNK);
         for cell in chunk * CHUNK..count.min((chunk + 1) * CHUNK) {
-            if step.keeps(cell as u32) {
+            if step.kept.is_some_and(|kept| kept.holds(cell)) {
                 continue;
             }
             let record = still(step.gaussians, cell, frame);

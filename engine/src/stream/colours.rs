@@ -58,6 +58,8 @@ pub(super) struct Fitter {
     level: Level,
     maps: Vec<ColourMap>,
     preparation: Preparation,
+    /// The picture of the last fit to a key frame: `[3, H, W]`; defined on the blocks that counted.
+    pub(super) picture: Vec<f32>,
 }
 
 /// The unknowns of one view: the index and the factor of each Gaussian visible there ([`FitView`]).
@@ -99,7 +101,7 @@ fn blocks([height, width]: [usize; 2], wanted: &dyn Fn(Pixels) -> bool) -> Vec<b
 impl Fitter {
     /// A fitter without buffers yet.
     pub(super) fn new(level: Level) -> Self {
-        Self { level, maps: Vec::new(), preparation: Preparation::new(level) }
+        Self { level, maps: Vec::new(), preparation: Preparation::new(level), picture: Vec::new() }
     }
 
     /// Fits the colours c₀ of a key frame `[3, H, W]`; returns them with the number of steps taken. `held`: the factor
@@ -142,6 +144,9 @@ impl Fitter {
                 false => (colour[i] + change[i]).clamp(RANGE[0], RANGE[1]),
             });
         }
+        let shown: Colours = fitted[0].unknown.iter().map(|&i| colours[i as usize]).collect();
+        self.picture.resize(frame.len(), 0.0);
+        self.maps[0].forward(&shown, BACKGROUND, &mut self.picture);
         (colours, taken)
     }
 
@@ -203,7 +208,7 @@ impl Fitter {
         [height, width]: [usize; 2],
         wanted: &[bool],
     ) -> Fitted {
-        let Self { level, maps, preparation } = self;
+        let Self { level, maps, preparation, .. } = self;
         maps.resize_with(maps.len().max(place + 1), || ColourMap::new(*level).from_weight(LEAST_WEIGHT));
         let projection = Projection::Orthographic { focal: [0.5 * width as f32, 0.5 * height as f32] };
         let Snapshot { index, mean, scale, opacity, rgb, .. } = view;

@@ -13,7 +13,7 @@ use streamsplat_model::reuse::{Saving, Tokens};
 use super::between::{Flows, Seen, targets};
 use super::canonical::{Advance, CanonicalSet, Step};
 use super::colours::{Fitter, Rates, Target};
-use super::keep::{Blocks, Change, Kept, Lattice};
+use super::keep::{Blocks, Change, Keeps, Kept, Lattice};
 use super::keyframe::{AlignedMap, Context, KeyView};
 use super::lift::{Alignment, DepthMap, Memory, Past, align, contradiction};
 use super::motion::{completed, fixed};
@@ -212,10 +212,10 @@ impl Engine {
                 view.flow = None;
                 flows = self.flows(&mut view, &mut seen, index)?;
             }
-            let cells = keeping.as_ref().map(|keeping| &keeping.cells[..]);
+            let keeps = keeping.as_ref().map(|keeping| &keeping.keeps);
             let Self { settings, workers, work, fitter, state, .. } = self;
             Context::new(settings, workers, work, fitter, tiles, state.as_ref())
-                .reconstruct(&mut view, cells, index)?;
+                .reconstruct(&mut view, keeps, index)?;
         }
         // All steps that can fail come before the state changes.
         let next_pair = match &self.state {
@@ -246,8 +246,8 @@ impl Engine {
         });
         let mut context = Context::new(settings, workers, work, fitter, tiles, before.as_ref());
         match (&keeping, before.as_ref()) {
-            (Some(Keeping { kept, cells, .. }), Some(state)) => {
-                context.finish_kept(&mut view, &state.view, kept, cells)
+            (Some(Keeping { kept, keeps, .. }), Some(state)) => {
+                context.finish_kept(&mut view, &state.view, kept, keeps)
             }
             _ => context.finish(&mut view, map, &past.map_or(Memory::None, Memory::Past)),
         }
@@ -288,7 +288,7 @@ impl Engine {
                     image: placement.model,
                     fusion: settings.fusion,
                     max_age: settings.max_age.0,
-                    kept: keeping.as_ref().map(|keeping| &keeping.cells[..]),
+                    kept: keeping.as_ref().map(|keeping| &keeping.keeps),
                 };
                 let (mut set, mut advance) = work.measure(Stage::Fusion, || state.set.advance(&step));
                 let steps = settings.refine();
@@ -348,7 +348,7 @@ impl Engine {
         if !wanted || view.has_depth() || before.map.is_some() {
             return None;
         }
-        let cells = Lattice::of(before.gaussians.position.len(), view.resolution())?;
+        let cells = Lattice::of(before.layers().cells, view.resolution())?;
         let blocks = Blocks::of(view.resolution())?;
         let taken = match settings.find_depth() {
             true => seen.iter().map(|seen| &seen.rgb).chain([&view.rgb]).cloned().collect(),
@@ -357,8 +357,8 @@ impl Engine {
         let mut frames: Vec<(f32, &mut Vec<f32>)> = seen.iter_mut().map(|seen| (seen.t, &mut seen.rgb)).collect();
         frames.push((1.0, &mut view.rgb));
         let kept = Kept::of(blocks, &before.rgb, before.past.as_ref(), &mut frames)?;
-        let cells = kept.of_cells(&cells);
-        Some(Keeping { kept, cells, taken })
+        let keeps = kept.of_cells(&cells, &before.added.moving);
+        Some(Keeping { kept, keeps, taken })
     }
 
     /// Flow through the interval; none where motion is the network's.
@@ -563,7 +563,7 @@ impl<'a> Context<'a> {
 struct Keeping {
     kept: Kept,
     /// What happens to each Gaussian of the key frame before.
-    cells: Vec<Change>,
+    keeps: Keeps,
     /// The frames as they came, those in between first: restored if depth is found after all.
     taken: Vec<Vec<f32>>,
 }

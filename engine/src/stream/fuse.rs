@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use streamsplat_kernels::raster::ALPHA_MIN;
 
-use super::canonical::{Arrival, CHUNK};
+use super::canonical::{Arrival, CHUNK, Layer};
 use super::identities::Identities;
 use super::matching::{Lattice, Probe, match_up};
 use super::{Handover, Merge, Record, Reference};
@@ -21,14 +21,12 @@ pub(super) struct Fused {
 
 /// Where two frames meet, and the limits of their fusion.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Meeting {
+pub(super) struct Meeting<'a> {
     /// Index of the new key frame.
     pub(super) frame: u64,
     pub(super) lattice: Lattice,
-    /// Number of old Gaussians of the model's own; those that a [lift](super::lift) adds do not survive.
-    pub(super) lasting: usize,
-    /// Number of old and of new Gaussians before those that are behind others.
-    pub(super) seen: [usize; 2],
+    /// The layers of the old and of the new Gaussians; only the model's own survive.
+    pub(super) layers: [&'a [Layer]; 2],
     /// As [`Step::lifted`](super::canonical::Step): matching ignores depth but separates Gaussians behind others from
     /// the rest, and a tracked point takes the new Gaussian's depth.
     pub(super) lifted: bool,
@@ -37,28 +35,31 @@ pub(super) struct Meeting {
 
 /// Matches old and new Gaussians at a key frame; sets the identities of the new ones and the handovers of both.
 pub(super) fn fuse(
-    Meeting { frame, lattice, lasting, seen, lifted, max_age }: Meeting,
+    Meeting { frame, lattice, layers, lifted, max_age }: Meeting<'_>,
     old: &mut [Record],
     new: &mut [Arrival],
     identities: &mut Identities,
 ) -> Fused {
     let ends: Vec<[f32; 3]> = old.par_iter().with_min_len(CHUNK).map(|r| r.position_at(1.0)).collect();
-    let layer = |behind: bool| if behind { 1.0 } else { 0.0 };
+    let depth = |layer: Layer| if layer == Layer::Behind { 1.0 } else { 0.0 };
     let probe = |(i, (r, end)): (usize, (&Record, &[f32; 3]))| {
         let mut point = std::array::from_fn(|axis| end[axis] + r.offset[axis]);
         let mut radii = lattice.radii(r.scale);
         if lifted {
-            (point[1], radii[1]) = (layer(i >= seen[0]), 0.5);
+            (point[1], radii[1]) = (depth(layers[0][i]), 0.5);
         }
-        Probe { point, radii, recent: r.frame + 1 == frame }
+        Probe { point, radii, recent: r.frame + 1 == frame && layers[0][i] != Layer::Detail }
     };
     let probes: Vec<Probe> = old.par_iter().zip(&ends).enumerate().with_min_len(CHUNK).map(probe).collect();
     let position = |(i, arrival): (usize, &Arrival)| {
         let [x, y, z] = arrival.record.mean;
-        [x, if lifted { layer(i >= seen[1]) } else { y }, z]
+        [x, if lifted { depth(layers[1][i]) } else { y }, z]
     };
-    let positions: Vec<[f32; 3]> = new.par_iter().enumerate().with_min_len(CHUNK).map(position).collect();
-    let matches = match_up(lattice, &probes, &positions);
+    // New details, which are the last, take on no identity.
+    let lasting = layers[1].partition_point(|layer| *layer != Layer::Detail);
+    let positions: Vec<[f32; 3]> = new[..lasting].par_iter().enumerate().with_min_len(CHUNK).map(position).collect();
+    let mut matches = match_up(lattice, &probes, &positions);
+    matches.parent.resize(new.len(), None);
 
     let mut passed_on = vec![false; old.len()];
     let fresh: Vec<u64> = matches
@@ -104,7 +105,7 @@ pub(super) fn fuse(
                             out.merges.push(Merge { identity: record.identity, into });
                         }
                     }
-                    None if i >= lasting || frame - record.frame > u64::from(max_age) => {
+                    None if layers[0][i] != Layer::Own || frame - record.frame > u64::from(max_age) => {
                         record.handover = Handover::Leaves
                     }
                     None => out.survivors.extend(survivor(record, ends[i])),

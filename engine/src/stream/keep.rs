@@ -41,6 +41,7 @@ use streamsplat_model::StaticGaussians;
 
 use super::canonical::still;
 use super::keyframe::KeyView;
+use super::lift::{Added, pixel};
 
 /// Side of a block, in pixels.
 pub(super) const BLOCK: usize = 16;
@@ -121,6 +122,59 @@ impl Lattice {
         let side = (height * width).checked_div(count)?.isqrt();
         let whole = side > 0 && height.is_multiple_of(side) && width.is_multiple_of(side);
         (whole && (height / side) * (width / side) == count).then(|| Self { side, columns: width / side, count })
+    }
+}
+
+/// What an interval keeps of the Gaussians of the key frame at its start. In the new key frame the model's own keep
+/// their indices; kept [details](super::detail) follow them in their order, before new details.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Keeps {
+    /// What happens to each of them.
+    pub(super) changes: Vec<Change>,
+    /// Number of the model's own.
+    cells: usize,
+    /// For each of the details the number of kept ones before it, and the number of all kept ones.
+    before: Vec<usize>,
+}
+
+impl Keeps {
+    /// `changes`: what happens to each Gaussian, of which the first `cells` are the model's own.
+    pub(super) fn new(changes: Vec<Change>, cells: usize) -> Self {
+        let mut before = vec![0];
+        for change in &changes[cells..] {
+            before.push(before[before.len() - 1] + usize::from(*change != Change::All));
+        }
+        Self { changes, cells, before }
+    }
+
+    /// The index in the new frame of the Gaussian at this index of the frame before; `None` if it is not kept.
+    pub(super) fn index(&self, before: usize) -> Option<usize> {
+        let place = || before.checked_sub(self.cells).map_or(before, |detail| self.cells + self.before[detail]);
+        (self.changes[before] != Change::All).then(place)
+    }
+
+    /// Returns true if the Gaussian at this index of the new frame is kept from the frame before.
+    pub(super) fn holds(&self, now: usize) -> bool {
+        match now.checked_sub(self.cells) {
+            None => self.changes[now] != Change::All,
+            Some(detail) => detail < self.details(),
+        }
+    }
+
+    /// What happens to each of the model's own.
+    pub(super) fn of_own(&self) -> &[Change] {
+        &self.changes[..self.cells]
+    }
+
+    /// Number of kept details.
+    pub(super) fn details(&self) -> usize {
+        self.before[self.before.len() - 1]
+    }
+
+    /// What happened to each Gaussian of the new frame that is not a new detail.
+    pub(super) fn of_new(&self) -> impl Iterator<Item = Change> {
+        let details = self.changes[self.cells..].iter().filter(|change| **change != Change::All);
+        self.changes[..self.cells].iter().chain(details).copied()
     }
 }
 
@@ -413,13 +467,19 @@ impl Kept {
         4 * kept > 3 * all
     }
 
-    /// What happens to each Gaussian.
-    pub(super) fn of_cells(&self, Lattice { side, columns, count }: &Lattice) -> Vec<Change> {
-        let block = |cell: usize| {
-            let [y, x] = [cell / columns, cell % columns].map(|at| at * side / BLOCK);
-            y * self.blocks.grid[1] + x
-        };
-        (0..*count).map(|cell| self.changes[block(cell)]).collect()
+    /// What happens to each Gaussian: the model's own on their lattice, then details at these places.
+    pub(super) fn of_cells(&self, Lattice { side, columns, count }: &Lattice, details: &[[f32; 3]]) -> Keeps {
+        let [height, width] = self.blocks.size;
+        let own = (0..*count).map(|cell| [cell / columns, cell % columns].map(|at| at * side));
+        let details =
+            details.iter().map(|&[x, _, z]| [pixel(-z, height), pixel(x, width)].map(Option::unwrap_or_default));
+        Keeps::new(own.chain(details).map(|pixel| self.at(pixel)).collect(), *count)
+    }
+
+    /// What happens at a pixel (row and column).
+    pub(super) fn at(&self, pixel: [usize; 2]) -> Change {
+        let [y, x] = pixel.map(|at| at / BLOCK);
+        self.changes[y * self.blocks.grid[1] + x]
     }
 
     /// Returns true if `wanted` holds for a block that meets a rectangle of pixels (rows and columns) widened by
@@ -464,13 +524,16 @@ pub struct KeptState {
     pub past: Past,
     /// Its Gaussians.
     pub gaussians: StaticGaussians,
+    /// How many of them, at the end, are details (docs/choosing.md).
+    pub details: usize,
 }
 
 impl KeptState {
     /// The state of a key frame; `None` where it has kept nothing.
     pub(super) fn of(view: &KeyView) -> Option<Self> {
         let past = view.past.clone()?;
-        Some(Self { rgb: view.rgb.clone(), past, gaussians: StaticGaussians::clone(&view.gaussians) })
+        let details = view.added.details;
+        Some(Self { rgb: view.rgb.clone(), past, gaussians: StaticGaussians::clone(&view.gaussians), details })
     }
 
     /// Restores the state of a frame; there must be no [contradiction](Self::contradiction).
@@ -478,6 +541,9 @@ impl KeptState {
         view.rgb.clone_from(&self.rgb);
         view.past = Some(self.past.clone());
         view.gaussians = Arc::new(self.gaussians.clone());
+        let cells = self.gaussians.len() - self.details;
+        view.added =
+            Added { details: self.details, moving: self.gaussians.position[cells..].to_vec(), ..Added::default() };
     }
 
     /// Returns true if all numbers of a Gaussian can be drawn.
@@ -487,21 +553,25 @@ impl KeptState {
 
     /// Returns why this cannot be the state of a key frame of this size.
     pub(super) fn contradiction(&self, size: [usize; 2]) -> Option<String> {
-        let Self { rgb, past, gaussians: g } = self;
+        let Self { rgb, past, gaussians: g, details } = self;
         if rgb.len() != 3 * size[0] * size[1] || !rgb.iter().all(|x| (0.0..=1.0).contains(x)) {
             return Some(format!("expected a picture of {}x{} with values from 0 to 1", size[1], size[0]));
         }
-        if g.uneven().is_some() || Lattice::of(g.len(), size).is_none() {
-            return Some(format!("expected kept Gaussians on a lattice, found {} of them", g.len()));
+        let cells = g.len().checked_sub(*details).and_then(|cells| Lattice::of(cells, size));
+        if g.uneven().is_some() || cells.is_none() {
+            return Some(format!("expected kept Gaussians on a lattice, found {} with {details} details", g.len()));
         }
         past.contradiction(size)
     }
 }
 
-/// Replaces the kept cells of `now` by those of `before`.
-pub(super) fn with_kept(now: &mut StaticGaussians, before: &StaticGaussians, cells: &[Change]) {
-    for (cell, _) in cells.iter().enumerate().filter(|(_, change)| **change != Change::All) {
-        now.set(cell, before.get(cell));
+/// Replaces the kept ones of the model's own Gaussians by those of `before`, and adds its kept details.
+pub(super) fn with_kept(now: &mut StaticGaussians, before: &StaticGaussians, keeps: &Keeps) {
+    for (cell, place) in (0..before.len()).filter_map(|cell| Some((cell, keeps.index(cell)?))) {
+        match place < now.len() {
+            true => now.set(place, before.get(cell)),
+            false => now.push(before.get(cell)),
+        }
     }
 }
 
@@ -639,6 +709,26 @@ mod tests {
         assert_eq!(frames[2][at].to_bits(), before.to_bits());
         assert!(frames[0].iter().zip(&mean).all(|(a, b)| a.to_bits() == b.to_bits()));
         assert!(kept.changes[1..].iter().all(|change| *change == Change::Colours || *change == Change::None));
+    }
+
+    #[test]
+    fn kept_details_follow_the_models_own_in_their_order() {
+        use Change::{All, Colours, None};
+        let keeps = Keeps::new(vec![None, All, Colours, All, None, All, Colours], 3);
+        let indices: Vec<Option<usize>> = (0..7).map(|at| keeps.index(at)).collect();
+        assert_eq!(indices, [Some(0), Option::None, Some(2), Option::None, Some(3), Option::None, Some(4)]);
+        // New details come after the two kept ones.
+        let held: Vec<bool> = (0..7).map(|at| keeps.holds(at)).collect();
+        assert_eq!(held, [true, false, true, true, true, false, false]);
+        assert_eq!(keeps.of_new().collect::<Vec<_>>(), [None, All, Colours, None, Colours]);
+        assert_eq!((keeps.details(), keeps.of_own()), (2, &[None, All, Colours][..]));
+        let of = |opacities: &[f32]| {
+            let one = |opacity: &f32| streamsplat_model::StaticGaussian { opacity: *opacity, ..Default::default() };
+            opacities.iter().map(one).collect::<StaticGaussians>()
+        };
+        let mut now = of(&[0.1, 0.2, 0.3]);
+        with_kept(&mut now, &of(&[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]), &keeps);
+        assert_eq!(now.opacity, [1.0, 0.2, 3.0, 5.0, 7.0]);
     }
 
     #[test]

@@ -8,8 +8,9 @@ use streamsplat_model::{Embedding, FrameInput, Sampling, StaticGaussians};
 use super::between::FlowView;
 use super::canonical::Layers;
 use super::colours::{Fitter, Pixels};
+use super::detail;
 use super::gaussians::reached;
-use super::keep::{Change, Kept, Past, with_kept};
+use super::keep::{Change, Keeps, Kept, Past, with_kept};
 use super::lift::{Added, Alignment, DepthMap, Memory, lift, normalise_most};
 use super::tiles::{Tile, Tiles};
 use super::work::Stage;
@@ -23,6 +24,8 @@ const CARD: f32 = 0.5;
 /// neighbours. In a turned view it bends straight edges in steps of a patch. Much smaller factors would let the turn
 /// change the order, which blurs the picture.
 const RELIEF: f32 = 0.5;
+/// Details are added after one in so many steps of the fit of colours.
+const FIRST: u32 = 4;
 
 /// A key frame at the model's size, and the model's results for it.
 pub(super) struct KeyView {
@@ -35,7 +38,7 @@ pub(super) struct KeyView {
     /// The Gaussians of all tiles, in the frame's world; lifted to the frame's depth and with colours that fit the
     /// frame where that is requested. None before [`Context::finish`].
     pub(super) gaussians: Arc<StaticGaussians>,
-    /// Those that the lift added, last in `gaussians`.
+    /// Those that are not the model's own, last in `gaussians`.
     pub(super) added: Added,
     /// The map that they are lifted to, in the scale of the stream.
     pub(super) map: Option<AlignedMap>,
@@ -47,10 +50,17 @@ pub(super) struct KeyView {
 }
 
 impl KeyView {
-    /// Numbers of the model's own Gaussians and of those not behind others.
+    /// The layers of the frame's Gaussians.
     pub(super) fn layers(&self) -> Layers {
-        let cells = self.gaussians.position.len() - self.added.moving.len();
-        Layers { cells, seen: cells + self.added.outline }
+        let Added { outline, details, moving, .. } = &self.added;
+        let cells = self.gaussians.position.len() - moving.len();
+        Layers { cells, outline: cells + outline, behind: cells + moving.len() - details }
+    }
+
+    /// The pixels of its details.
+    fn details(&self) -> Vec<usize> {
+        let first = self.gaussians.len() - self.added.details;
+        detail::pixels(&self.gaussians.position[first..], self.resolution)
     }
 
     /// The places whose motion each Gaussian takes.
@@ -122,11 +132,12 @@ impl Context<'_> {
     pub(super) fn reconstruct(
         &mut self,
         view: &mut KeyView,
-        kept: Option<&[Change]>,
+        kept: Option<&Keeps>,
         index: u64,
     ) -> Result<(), EngineError> {
         let lifts = self.tiles.ignores_depth();
-        let wanted: Option<Vec<bool>> = kept.map(|kept| kept.iter().map(|change| *change == Change::All).collect());
+        let wanted: Option<Vec<bool>> =
+            kept.map(|kept| kept.of_own().iter().map(|change| *change == Change::All).collect());
         let mut tiles = Vec::with_capacity(self.tiles.tiles.len());
         for at in 0..self.tiles.tiles.len() {
             let depth = view.depth.as_deref().filter(|_| !lifts);
@@ -160,6 +171,8 @@ impl Context<'_> {
             view.map = map;
             return;
         }
+        // Of a frame that gets its depth afterwards the details stay: the stream goes on with their identities.
+        let details = (view.added.details > 0).then(|| view.details());
         view.gaussians = self.put_together(view, map.is_none());
         if let Some(AlignedMap { map, .. }) = &map {
             let memory = (self.settings.behind == Behind::On).then_some(memory);
@@ -171,7 +184,10 @@ impl Context<'_> {
             self.work.count(Stage::Covered, *known as u64, 0);
         }
         view.map = map;
-        view.gaussians = self.coloured(view.gaussians.clone(), &view.added.held, &view.rgb, &|_| true);
+        let held = view.added.held.clone();
+        self.colour(view, held, &|_| true, |shown, share| {
+            details.unwrap_or_else(|| shown.largest_errors(share, &|_| true))
+        });
     }
 
     /// The Gaussians of a frame's tiles; with `card` those of a frame without depth. Where depth is searched, a model
@@ -189,46 +205,78 @@ impl Context<'_> {
 
     /// [`Context::finish`] for a frame without a map that keeps cells of the frame before. Cells marked
     /// [`Change::Colours`] get colours that the kept record reaches to the bit.
-    pub(super) fn finish_kept(&mut self, view: &mut KeyView, before: &KeyView, kept: &Kept, cells: &[Change]) {
+    pub(super) fn finish_kept(&mut self, view: &mut KeyView, before: &KeyView, kept: &Kept, keeps: &Keeps) {
         self.work.count(Stage::Still, (kept.share()[1] - kept.share()[0]) as u64, kept.share()[0] as u64);
         view.past = Some(kept.past.clone());
         if kept.changes.iter().all(|change| *change == Change::None) {
             view.gaussians = before.gaussians.clone();
+            view.added = before.added.clone();
             return;
         }
         let mut gaussians = match view.tiles.iter().any(Option::is_some) {
             true => Arc::unwrap_or_clone(self.put_together(view, true)),
             false => StaticGaussians::clone(&before.gaussians),
         };
-        with_kept(&mut gaussians, &before.gaussians, cells);
-        let held: Vec<f32> = cells.iter().map(|change| if *change == Change::None { 0.0 } else { 1.0 }).collect();
+        with_kept(&mut gaussians, &before.gaussians, keeps);
+        let details = keeps.details();
+        let moving = gaussians.position[gaussians.len() - details..].to_vec();
+        view.added = Added { details, moving, ..Added::default() };
+        view.gaussians = Arc::new(gaussians);
+        let held = keeps.of_new().map(|change| if change == Change::None { 0.0 } else { 1.0 }).collect();
         let wanted = |pixels| kept.any_in(pixels, |change| change != Change::None);
-        view.gaussians = self.coloured(Arc::new(gaussians), &held, &view.rgb, &wanted);
+        self.colour(view, held, &wanted, |shown, share| {
+            shown.largest_errors(share, &|pixel| kept.at(pixel) == Change::All)
+        });
         let colours = &mut Arc::make_mut(&mut view.gaussians).rgb;
-        for ((now, then), change) in colours.iter_mut().zip(&before.gaussians.rgb).zip(cells) {
-            if *change == Change::Colours {
-                *now = std::array::from_fn(|channel| reached(then[channel], now[channel]));
+        for (cell, then) in before.gaussians.rgb.iter().enumerate() {
+            if let Some(now) = keeps.index(cell).filter(|_| keeps.changes[cell] == Change::Colours) {
+                colours[now] = std::array::from_fn(|channel| reached(then[channel], colours[now][channel]));
             }
         }
     }
 
-    /// Fits the colours to the frame on the blocks of pixels that are `wanted`, where fits are requested at all.
-    fn coloured(
+    /// Fits the colours to the frame, where fits are requested at all, and adds [details](detail) after the first
+    /// steps. `held`: as for [`Fitter::key`]; `wanted`: the blocks of pixels that count; `choose`: the details' pixels.
+    fn colour(
         &mut self,
-        gaussians: Arc<StaticGaussians>,
-        held: &[f32],
-        frame: &[f32],
+        view: &mut KeyView,
+        mut held: Vec<f32>,
         wanted: &dyn Fn(Pixels) -> bool,
-    ) -> Arc<StaticGaussians> {
-        let steps = self.settings.refine();
+        choose: impl FnOnce(detail::Shown<'_>, u32) -> Vec<usize>,
+    ) {
+        let (steps, share) = (self.settings.refine(), self.settings.detail());
+        let first = if share == 0 { steps } else { steps.div_ceil(FIRST) };
+        self.steps(view, &held, wanted, first);
+        if first == steps {
+            return;
+        }
+        let (cells, resolution) = (view.layers().cells, view.resolution);
+        let (gaussians, frame) = (Arc::make_mut(&mut view.gaussians), &view.rgb);
+        let shown = detail::Shown { frame, picture: &self.fitter.picture, resolution };
+        let added = self.work.time(Stage::Detail, || {
+            let pixels = choose(shown, share);
+            detail::add(gaussians, cells, &pixels, frame, resolution)
+        });
+        self.work.count(Stage::Detail, added as u64, 0);
+        view.added.details += added;
+        view.added.moving.extend_from_slice(&gaussians.position[gaussians.len() - added..]);
+        if !held.is_empty() {
+            held.resize(gaussians.len(), 1.0);
+        }
+        self.steps(view, &held, wanted, steps - first);
+    }
+
+    /// Takes up to `steps` steps of the fit of colours to the frame.
+    fn steps(&mut self, view: &mut KeyView, held: &[f32], wanted: &dyn Fn(Pixels) -> bool, steps: u32) {
         if steps == 0 {
-            return gaussians;
+            return;
         }
         let (fitter, resolution) = (&mut *self.fitter, self.tiles.resolution);
+        let (gaussians, frame) = (&*view.gaussians, &view.rgb);
         let (rgb, taken) =
-            self.work.time(Stage::Colours, || fitter.key(&gaussians, held, frame, resolution, steps, wanted));
+            self.work.time(Stage::Colours, || fitter.key(gaussians, held, frame, resolution, steps, wanted));
         self.work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
-        Arc::new(StaticGaussians { rgb, ..Arc::unwrap_or_clone(gaussians) })
+        Arc::make_mut(&mut view.gaussians).rgb = rgb;
     }
 
     /// Reconstructs tile `at` of the frame.

@@ -15,6 +15,7 @@
 mod between;
 mod canonical;
 mod colours;
+mod detail;
 mod engine;
 mod frame;
 mod fuse;

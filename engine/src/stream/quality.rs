@@ -41,6 +41,8 @@ pub struct Preset {
     pub refine_every: u32,
     /// [`Settings::refine_to`]
     pub refine_to: Decibels,
+    /// [`Settings::detail`]
+    pub detail: u32,
     /// [`Settings::precision`]
     pub precision: Precision,
     /// [`Settings::reuse`]
@@ -62,6 +64,7 @@ impl Quality {
             refine: Settings::REFINE,
             refine_every: 1,
             refine_to: Settings::REFINE_TO,
+            detail: Settings::DETAIL,
             precision: Precision::Int8,
             reuse: Reuse::Exact,
             still: StaticRegions::Keep,
@@ -73,6 +76,7 @@ impl Quality {
                 find_depth: false,
                 refine: 3,
                 refine_every: 3,
+                detail: 0,
                 ..balanced
             },
             Quality::Balanced => balanced,
@@ -80,6 +84,7 @@ impl Quality {
                 gap: Gap::Every(2),
                 refine: 64,
                 refine_to: Decibels::MOST,
+                detail: 160,
                 precision: Precision::F32,
                 still: StaticRegions::Off,
                 ..balanced
@@ -102,6 +107,7 @@ impl Settings {
             refine,
             refine_every,
             refine_to,
+            detail,
             precision,
             reuse,
             still,
@@ -115,6 +121,7 @@ impl Settings {
             refine: Some(refine),
             refine_every: Some(refine_every),
             refine_to: Some(refine_to),
+            detail: Some(detail),
             precision: Some(precision),
             reuse,
             still: Some(still),
@@ -138,6 +145,7 @@ mod tests {
         assert_eq!(balanced.refine(), default.refine());
         assert_eq!(balanced.refine_every(), default.refine_every());
         assert_eq!(balanced.close(), default.close());
+        assert_eq!(balanced.detail(), default.detail());
         assert_eq!(balanced.precision(), default.precision());
         assert_eq!(balanced.reuse, default.reuse);
         assert_eq!(balanced.still(), default.still());

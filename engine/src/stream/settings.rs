@@ -45,6 +45,9 @@ pub struct Settings {
     /// Where all tiles of an interval's frames are, no colours are fitted. `None`: [`Settings::REFINE_TO`] for the
     /// model inside the library, [`Decibels::MOST`] for any other.
     pub refine_to: Option<Decibels>,
+    /// Of each 1000 pixels of a key frame, the number that may have a Gaussian of their own where the fit of colours
+    /// leaves error, 0 for none; `None`: [`Settings::DETAIL`] for the model inside the library, 0 for any other.
+    pub detail: Option<u32>,
     /// True if depth is found by parallax ([`crate::parallax`]) for frames that have no map of their own. Applies where
     /// the model ignores depth ([`Reconstructor::ignores_depth`]) and motion is taken from the frames. `None`: true for
     /// the model inside the library, false for any other.
@@ -106,7 +109,9 @@ impl ModelSource {
 
 impl Settings {
     /// Default number of steps that fit colours, for the model inside the library.
-    pub const REFINE: u32 = 16;
+    pub const REFINE: u32 = 8;
+    /// [`Settings::detail`] of the model inside the library.
+    pub const DETAIL: u32 = 50;
 
     /// Default PSNR, in dB, that is close enough, for the model inside the library.
     pub const REFINE_TO: Decibels = Decibels(43.0);
@@ -143,6 +148,14 @@ impl Settings {
     /// Colours are fitted to every n-th of the frames between key frames.
     pub fn refine_every(&self) -> u32 {
         self.refine_every.unwrap_or(1).max(1)
+    }
+
+    /// Of each 1000 pixels of a key frame, the number that may have a Gaussian of their own.
+    pub fn detail(&self) -> u32 {
+        self.detail.unwrap_or(match self.model {
+            ModelSource::Embedded => Self::DETAIL,
+            _ => 0,
+        })
     }
 
     /// Returns true if depth is found by parallax where the model ignores depth.

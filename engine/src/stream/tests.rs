@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use streamsplat_model::{StaticGaussian, StaticGaussians};
 
-use super::canonical::{Advance, CanonicalSet, Layers, Step};
+use super::canonical::{Advance, CanonicalSet, Layer, Layers, Step};
 use super::fuse::{Meeting, fuse};
 use super::identities::Identities;
-use super::keep::Change;
+use super::keep::{Change, Keeps};
 use super::matching::Lattice;
 use super::reconstructor::Motion;
 use super::{Fusion, Handover, Merge, Record, Reference};
@@ -38,7 +38,7 @@ struct Stream {
     /// Number of those at the end that are behind others.
     behind: usize,
     /// What happens to each Gaussian in the next interval.
-    kept: Option<Vec<Change>>,
+    kept: Option<Keeps>,
 }
 
 impl Stream {
@@ -54,7 +54,11 @@ impl Stream {
         let gaussians = frame(places);
         let step = Step {
             gaussians: &gaussians,
-            layers: Layers { cells: places.len() - self.outline - self.behind, seen: places.len() - self.behind },
+            layers: Layers {
+                cells: places.len() - self.outline - self.behind,
+                outline: places.len() - self.behind,
+                behind: places.len(),
+            },
             forward: &moving(forward),
             backward: &moving(&vec![[0.0; 3]; places.len()]),
             length,
@@ -62,7 +66,7 @@ impl Stream {
             image: [100, 100],
             fusion: Fusion::Persistent,
             max_age: self.max_age,
-            kept: self.kept.as_deref(),
+            kept: self.kept.as_ref(),
         };
         let (set, advance) = self.set.advance(&step);
         (self.set, self.gaussians) = (set, gaussians);
@@ -117,7 +121,7 @@ fn a_survivor_keeps_the_colour_it_had_at_the_key_frame() {
     let rate = [0.3, -0.2, 0.0];
     let mut old = [Record { rgb: [0.1, 0.7, 0.5], rgb_rate: rate, opacity: 0.8, ..Record::default() }];
     let lattice = Lattice::new(0, [100, 100]);
-    let meeting = Meeting { frame: 1, lattice, lasting: 1, seen: [1, 0], lifted: false, max_age: 8 };
+    let meeting = Meeting { frame: 1, lattice, layers: [&[Layer::Own], &[]], lifted: false, max_age: 8 };
     let fused = fuse(meeting, &mut old, &mut [], &mut Identities::from(1));
     let [survivor] = fused.survivors[..] else { panic!("expected one survivor, found {}", fused.survivors.len()) };
     assert_eq!(survivor.rgb_rate, [0.0; 3]);
@@ -196,7 +200,8 @@ fn what_stands_behind_others_meets_its_like_and_is_not_kept() {
     let places = |behind: usize| -> Vec<[f32; 3]> {
         front.iter().copied().chain(front[..behind].iter().map(|[x, _, z]| [*x, 0.2, *z])).collect()
     };
-    let (set, first) = CanonicalSet::first(&frame(&places(10)), Layers::of_cells(front.len()));
+    let layers = Layers { behind: front.len() + 10, ..Layers::of_cells(front.len()) };
+    let (set, first) = CanonicalSet::first(&frame(&places(10)), layers);
     let gaussians = frame(&places(10));
     let mut stream = Stream { set, gaussians, max_age: 8, lifted: true, outline: 0, behind: 9, kept: None };
     let advance = stream.push(&places(9), &[STILL; 110], 1.0);
@@ -214,7 +219,7 @@ fn what_is_seen_along_edges_meets_what_is_seen_and_is_not_kept() {
     let front = floor();
     let [last, away] = [front[front.len() - 1], [0.0, 0.5, 5.0]];
     let start: Vec<[f32; 3]> = front.iter().copied().chain([away]).collect();
-    let layers = Layers { cells: front.len(), seen: front.len() + 1 };
+    let layers = Layers { cells: front.len(), outline: front.len() + 1, behind: front.len() + 1 };
     let (set, first) = CanonicalSet::first(&frame(&start), layers);
     let mut stream =
         Stream { set, gaussians: frame(&start), max_age: 8, lifted: true, outline: 1, behind: 0, kept: None };
@@ -230,7 +235,7 @@ fn what_is_seen_along_edges_meets_what_is_seen_and_is_not_kept() {
 fn a_kept_gaussian_is_one_record_without_motion_or_fading() {
     let (mut stream, first) = Stream::new(&floor(), 8);
     let changes: Vec<Change> = (0..100).map(|cell| if cell % 2 == 0 { Change::None } else { Change::All }).collect();
-    stream.kept = Some(changes);
+    stream.kept = Some(Keeps::new(changes, 100));
     for interval in 0..3 {
         let advance = stream.push(&floor(), &[[0.001, 0.0, 0.0]; 100], 1.0);
         let kept: Vec<Record> = advance.gaussians.iter().skip(advance.kept.start).take(advance.kept.len()).collect();

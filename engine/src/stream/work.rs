@@ -41,13 +41,14 @@ pub(crate) enum Stage {
     Outline,
     Behind,
     Covered,
+    Detail,
     Fusion,
     Colours,
     Still,
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 15] = [
+    const ALL: [(Stage, &'static str, &'static str); 16] = [
         (Stage::Fit, "fit", "frames"),
         (Stage::Encoder, "encoder", "tiles"),
         (Stage::Upsampler, "upsampler", "tiles"),
@@ -60,6 +61,7 @@ impl Stage {
         (Stage::Outline, "outline", "Gaussians"),
         (Stage::Behind, "behind", "Gaussians"),
         (Stage::Covered, "covered", "Gaussians"),
+        (Stage::Detail, "detail", "Gaussians"),
         (Stage::Fusion, "fusion", "intervals"),
         (Stage::Colours, "colours", "steps"),
         (Stage::Still, "still", "blocks"),

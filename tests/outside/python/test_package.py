@@ -282,7 +282,7 @@ def test_frames_in_between_move_colours_and_must_lie_there():
     assert (network.gaussians.velocity == interval(None, motion="network", refine=0).gaussians.velocity).all()
     with pytest.raises(streamsplat_cpu.Error, match="ascending times"):
         interval(frames[3:0:-1])
-    for wrong in ({"motion": "flow"}, {"resolution": "288"}, {"still": "all"}, {"behind": "no"}, {"refine_to": 19.0}, {"refine_to": float("nan")}):
+    for wrong in ({"motion": "flow"}, {"resolution": "288"}, {"still": "all"}, {"behind": "no"}, {"refine_to": 19.0}, {"refine_to": float("nan")}, {"detail": 1001}):
         with pytest.raises(ValueError):
             streamsplat_cpu.Engine(**wrong)
 

@@ -1,7 +1,7 @@
 //! Static regions of the picture keep their Gaussians: the same bits on every level, thread count and after resuming,
 //! no seam at key frames, no growing error.
 
-use streamsplat::stream::{Handover, StaticRegions};
+use streamsplat::stream::{Handover, Record, StaticRegions};
 use streamsplat::{Camera, Engine, Frame, Image, Interval, RenderOptions, Settings};
 use streamsplat_kernels::Level;
 use streamsplat_tests::{bits, workers};
@@ -88,6 +88,56 @@ fn a_standing_camera_keeps_most_of_its_gaussians_for_less_than_a_decibel() {
             let most = 0.8;
             assert!(a > b - most || a > 40.0, "frame {k}: {a:.2} dB kept, {b:.2} dB computed");
         }
+    }
+}
+
+#[test]
+fn details_bring_pictures_closer_and_those_of_static_regions_are_kept() {
+    // Grain on the walls, finer than the model's lattice.
+    let grained = |k: usize| {
+        let mut frame = frame(k, 1.0, true);
+        let pixels = SIZE[0] * SIZE[1];
+        for (i, value) in frame.rgb.iter_mut().enumerate() {
+            let grain = ((i % pixels) as u32).wrapping_mul(0x9E37_79B1) >> 28;
+            *value = (*value + if grain == 0 { 0.15 } else { 0.0 }).min(1.0);
+        }
+        frame
+    };
+    let run = |detail| {
+        let mut engine = Engine::new(Settings { detail, ..settings(StaticRegions::Keep) }).expect("starts");
+        let mut added = Vec::new();
+        let intervals: Vec<Interval> = (0..4)
+            .map(|key: usize| {
+                let between = (1..4).filter(|_| key > 0).map(|k| 4 * key - k).rev();
+                let between = between.map(|k| (grained(k), k as f64)).collect();
+                let interval = engine.push_with(between, grained(4 * key), 4.0 * key as f64).expect("taken");
+                added.push(engine.work().stage("detail").expect("counted").done);
+                interval
+            })
+            .collect();
+        (intervals, added)
+    };
+    let (with, added) = run(None);
+    let (without, none) = run(Some(0));
+    assert_eq!(none, [0; 4]);
+    // At most 50 of each 1000 pixels; later on only where the disc moves.
+    let most = (SIZE[0] * SIZE[1] / 20) as u64;
+    assert!(added[0] > most / 2 && added[0] <= most, "{added:?}");
+    assert!(added[3] - added[0] < added[0], "{added:?}");
+    let small = |interval: &Interval| {
+        let kept = |record: &Record| record.handover == Handover::None && record.scale[0] < 0.4 * 2.0 / SIZE[0] as f32;
+        interval.gaussians.iter().filter(kept).count() as u64
+    };
+    assert!(4 * small(&with[3]) > added[0], "{} of {} are kept", small(&with[3]), added[0]);
+    for (with, without) in with.iter().zip(&without).skip(1) {
+        for k in 4 * with.index - 3..=4 * with.index {
+            let truth = grained(k as usize);
+            let [a, b] = [with, without].map(|interval| psnr(&draw(interval, k as f64), &truth));
+            assert!(a > b + 0.5, "frame {k}: {a:.2} dB, {b:.2} dB without details");
+        }
+    }
+    for pair in with.windows(2) {
+        assert!(draw(&pair[0], pair[0].end) == draw(&pair[1], pair[1].start), "key frame {}", pair[0].index);
     }
 }
 

@@ -177,7 +177,10 @@ fn every_operation_of_the_kernels_has_spans() {
     for parts in ["math", "philox", "simd", "raster"] {
         assert!(expected.remove(parts), "{parts}");
     }
-    expected.extend(["project", "bin", "blend", "record", "index", "colour_map", "colour_fit"].map(str::to_owned));
+    expected.extend(
+        ["project", "bin", "blend", "record", "index", "colour_map", "colour_map_forward", "colour_fit"]
+            .map(str::to_owned),
+    );
     assert_eq!(found, expected);
 }
 

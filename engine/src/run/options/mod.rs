@@ -146,7 +146,7 @@ options! {
         #[cfg_attr(feature = "clap", command(flatten))]
         pub model: ModelOptions,
         /// Trade-off of error and time: realtime, balanced or best; sets depth, gap, resolution, motion, flow, fade,
-        /// refine, refine-every, refine-to, precision, reuse and still where they are not given
+        /// refine, refine-every, refine-to, detail, precision, reuse and still where they are not given
         #[cfg_attr(feature = "clap", arg(long, value_name = "NAME"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub quality: Option<Quality>,
@@ -216,6 +216,11 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "DB", allow_negative_numbers = true))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub refine_to: Option<Decibels>,
+        /// Gaussians of a pixel's size where the fit of colours leaves error, at most N for each 1000 pixels of a key
+        /// frame; 0 for none. Only where colours are fitted
+        #[cfg_attr(feature = "clap", arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1000)))]
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pub detail: Option<u32>,
         /// Gaussians carried over a key frame: persistent (identities go on and survivors fade) or pairwise (each
         /// interval by itself)
         #[cfg_attr(feature = "clap", arg(long, value_name = "MODE"))]

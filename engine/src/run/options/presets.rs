@@ -43,6 +43,7 @@ impl Column {
             refine: Some(0),
             refine_every: Some(1),
             refine_to: Some(Decibels::MOST),
+            detail: Some(0),
             reuse: Some(Reuse::Exact),
             still: Some(StaticRegions::Off),
             ..neutral.clone()
@@ -59,6 +60,7 @@ impl Column {
                     refine,
                     refine_every,
                     refine_to,
+                    detail,
                     precision,
                     reuse,
                     still,
@@ -75,6 +77,7 @@ impl Column {
                     refine: Some(refine),
                     refine_every: Some(refine_every),
                     refine_to: Some(refine_to),
+                    detail: Some(detail),
                     reuse: Some(reuse),
                     still: Some(still),
                     ..neutral

@@ -165,6 +165,7 @@ impl StreamOptions {
             flow: self.flow.unwrap_or_default(),
             refine_every: self.refine_every,
             refine_to: self.refine_to,
+            detail: self.detail,
             refine: self.refine,
             find_depth: Some(depth == DepthFrom::Found),
             depth_range,

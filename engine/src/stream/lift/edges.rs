@@ -65,7 +65,7 @@ pub(super) struct Place {
 }
 
 /// Difference of z between two neighbours of different surfaces, in rows of `width` pixels.
-pub(super) fn tear(width: usize) -> f32 {
+pub(in crate::stream) fn tear(width: usize) -> f32 {
     TEAR / width as f32
 }
 

@@ -54,6 +54,7 @@ mod sides;
 pub(super) use align::{Alignment, Link, align};
 pub use covered::Covered;
 pub(super) use covered::{Memory, Past, contradiction};
+pub(super) use edges::tear;
 pub(super) use fill::normalise_most;
 
 /// Factor on standard deviations: Gaussians that overlap less depend less on their order.
@@ -82,11 +83,13 @@ pub struct DepthMap {
     pub resolution: [usize; 2],
 }
 
-/// Gaussians that a lift adds after the model's own.
+/// Gaussians that a lift adds after the model's own, and [details](super::detail) after these.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Added {
-    /// Number of those seen along edges; the others are behind these and the model's own.
+    /// Number of those seen along edges. Those behind these and the model's own follow.
     pub(super) outline: usize,
+    /// Number of details, the last ones.
+    pub(super) details: usize,
     /// The places whose motion they take.
     pub(super) moving: Vec<[f32; 3]>,
     /// Colours remembered of surfaces that the foreground hides.
@@ -175,7 +178,7 @@ impl edges::Place {
 }
 
 /// The pixel of a coordinate in [−1, 1] along a side; the nearest one outside, `None` where it is not finite.
-fn pixel(x: f32, side: usize) -> Option<usize> {
+pub(super) fn pixel(x: f32, side: usize) -> Option<usize> {
     x.is_finite().then(|| (((x + 1.0) * 0.5 * side as f32).max(0.0) as usize).min(side - 1))
 }
 
