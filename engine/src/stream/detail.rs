@@ -39,8 +39,8 @@ pub(super) struct Shown<'a> {
     pub(super) resolution: [usize; 2],
 }
 
-/// Adds details at these pixels of a frame `[3, H, W]` to its Gaussians, of which the first `cells` are the model's own;
-/// returns how many.
+/// Adds details at these pixels of a frame `[3, H, W]` to its Gaussians, the first `cells` of which are the model's
+/// own; returns how many.
 pub(super) fn add(
     gaussians: &mut StaticGaussians,
     cells: usize,
