@@ -15,7 +15,7 @@ use streamsplat_kernels::change::{Tolerance, moved};
 use streamsplat_kernels::exposure::Exposure;
 use streamsplat_kernels::feed_forward::FeedForward;
 use streamsplat_kernels::fill::fill;
-use streamsplat_kernels::flow::{self, Blend, Field, Options, Pyramid, Step, between};
+use streamsplat_kernels::flow::{self, Blend, Field, Lumas, Options, Pyramid, Step, between};
 use streamsplat_kernels::gemm::{Activation, Epilogue, Input, Precision, Weights, linear};
 use streamsplat_kernels::harmonics::{Eye, Gradients, adjoint, colours, rest};
 use streamsplat_kernels::memory::{Aligned, Scratch};
@@ -470,6 +470,11 @@ fn wrapping_calls() -> Vec<(&'static str, Box<dyn FnOnce()>)> {
         "flow::Field::zero": Field::zero([HALF; 2]);
         "flow::Field::at": Field { size: [4, 4], u: vec![0.5; 2], v: vec![0.5; 2] }.at(3.0, 3.0);
         "flow::Pyramid::new": pyramid([HALF; 2]);
+        "flow::align": {
+            let (there, back) = (field([8, 8]), field([8, 8]));
+            let steps = [Step { there: &there, back: &back, distance: 1.0 }; 2];
+            flow::align(level, Lumas { from: &[0.5; 64], to: &[&[0.5; 63]] }, &[[7.0; 2]], &steps, &mut [[0.0; 2]]);
+        };
         "flow::between": {
             let size = [HALF; 2];
             between(level, &pyramid([8, 8]), &pyramid([8, 8]), Some(&field(size)), &Options::default())

@@ -6,7 +6,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use streamsplat_kernels::Level;
-use streamsplat_kernels::flow::{self, Blend, Field, Pyramid, Step};
+use streamsplat_kernels::flow::{self, Blend, Field, Lumas, Pyramid, Step};
 
 use super::colours::Target;
 use super::keyframe::KeyView;
@@ -161,7 +161,13 @@ impl Flows {
     }
 
     /// The motion of the Gaussians of both key frames, the network's where flow has none.
-    pub(super) fn motion(&self, level: Level, [a, b]: [&KeyView; 2], network: &[Arc<Motion>; 2]) -> [Arc<Motion>; 2] {
+    pub(super) fn motion(
+        &self,
+        level: Level,
+        [a, b]: [&KeyView; 2],
+        between: &[Seen],
+        network: &[Arc<Motion>; 2],
+    ) -> [Arc<Motion>; 2] {
         let count = self.steps.len();
         let step = |i: usize, way: usize, distance: f32| Step {
             there: &self.steps[i][way],
@@ -170,10 +176,13 @@ impl Flows {
         };
         let forward: Vec<Step<'_>> = (0..count).map(|i| step(i, 0, self.times[i + 1])).collect();
         let backward: Vec<Step<'_>> = (0..count).rev().map(|i| step(i, 1, 1.0 - self.times[i])).collect();
-        [
-            along_flow(level, &a.moving(), &network[0], &forward, 1.0),
-            along_flow(level, &b.moving(), &network[1], &backward, -1.0),
-        ]
+        let [first, last] = [a, b].map(|view| flow::luma(level, &view.rgb));
+        let between: Vec<Vec<f32>> = between.iter().map(|seen| flow::luma(level, &seen.rgb)).collect();
+        let mut to: Vec<&[f32]> = between.iter().map(Vec::as_slice).collect();
+        let onwards = along_flow(level, &a.moving(), &network[0], &forward, Lumas { from: &first, to: &to }, 1.0);
+        to.reverse();
+        let back = along_flow(level, &b.moving(), &network[1], &backward, Lumas { from: &last, to: &to }, -1.0);
+        [onwards, back]
     }
 
     /// Pairs of values of two depth maps, those of the last and of the first key frame, at places that flow connects.

@@ -275,7 +275,7 @@ impl Engine {
                 }
                 let length = length(state.timestamp, timestamp);
                 let motion = match &flows {
-                    Some(flows) => work.time(Stage::Flow, || flows.motion(level, views, &network)),
+                    Some(flows) => work.time(Stage::Flow, || flows.motion(level, views, &seen, &network)),
                     None => network,
                 };
                 let step = Step {

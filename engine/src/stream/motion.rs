@@ -7,13 +7,14 @@
 //!
 //! A chain of several steps ends before the first one that leaves the picture or that the flow back does not undo,
 //! because the surface is hidden there. Where that is the first step, the network's motion stays. (A single step, from
-//! key frame to key frame, is taken as it is: the network's motion was no better.)
+//! key frame to key frame, is taken as it is: the network's motion was no better.) Where the frames in between do not
+//! show a Gaussian's place along its velocity, that of a neighbour or a small change may fit better ([`align`]).
 
 use std::sync::Arc;
 
 use rayon::prelude::*;
 use streamsplat_kernels::Level;
-use streamsplat_kernels::flow::{Step, follow};
+use streamsplat_kernels::flow::{Lumas, Step, align, follow};
 
 use super::reconstructor::Motion;
 
@@ -41,13 +42,15 @@ pub(super) fn completed(motion: Arc<Motion>, count: usize) -> Arc<Motion> {
     Arc::new(motion)
 }
 
-/// Velocities of Gaussians at these places along `steps`, the first of which starts at the key frame. `sign` is 1 for
-/// the interval's first key frame and −1 for its last. γ and the velocity along the depth are those of `network`.
+/// Velocities of Gaussians at these places along `steps`, the first of which starts at the key frame. `lumas`: of that
+/// frame and those in between, in the order of the steps. `sign` is 1 for the interval's first key frame and −1 for its
+/// last. γ and the velocity along the depth are those of `network`.
 pub(super) fn along_flow(
     level: Level,
     positions: &[[f32; 3]],
     network: &Arc<Motion>,
     steps: &[Step<'_>],
+    lumas: Lumas<'_>,
     sign: f32,
 ) -> Arc<Motion> {
     let Some(first) = steps.first() else { return network.clone() };
@@ -56,6 +59,7 @@ pub(super) fn along_flow(
     let starts: Vec<[f32; 2]> = positions.par_iter().with_min_len(CHUNK).map(place).collect();
     let mut pixels = vec![[0.0; 2]; starts.len()];
     follow(level, &starts, steps, &mut pixels);
+    align(level, lumas, &starts, steps, &mut pixels);
     let mut velocity = network.0.clone();
     velocity.par_iter_mut().with_min_len(CHUNK).zip(&pixels).for_each(|(velocity, &[dx, dy])| {
         if !(dx.is_nan() || dy.is_nan()) {

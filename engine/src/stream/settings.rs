@@ -109,7 +109,7 @@ impl ModelSource {
 
 impl Settings {
     /// Default number of steps that fit colours, for the model inside the library.
-    pub const REFINE: u32 = 8;
+    pub const REFINE: u32 = 6;
     /// [`Settings::detail`] of the model inside the library.
     pub const DETAIL: u32 = 50;
 

@@ -63,12 +63,7 @@ fn each(
     walk: impl Walk,
 ) {
     assert_eq!(starts.len(), out.len(), "a result for each start");
-    for step in steps {
-        for field in [step.there, step.back] {
-            field.check();
-            assert_eq!(field.size, steps[0].there.size, "fields of one size");
-        }
-    }
+    check(steps);
     let _span = debug_span!("flow", step, points = starts.len(), steps = steps.len()).entered();
     for_each_chunk(out, TASK, |index, out| {
         let starts = &starts[index * TASK..][..out.len()];
@@ -76,14 +71,24 @@ fn each(
     });
 }
 
+/// Refuses fields of different sizes.
+pub(super) fn check(steps: &[Step<'_>]) {
+    for step in steps {
+        for field in [step.there, step.back] {
+            field.check();
+            assert_eq!(field.size, steps[0].there.size, "fields of one size");
+        }
+    }
+}
+
 /// A result for each point of a vector.
-trait Walk: Copy + Sync + Send {
+pub(super) trait Walk: Copy + Sync + Send {
     /// Results for the points that start here and take these steps.
     fn lanes<S: Simd>(self, s: S, start: [S::F32; 2], steps: &[Step<'_>]) -> [S::F32; 2];
 }
 
 #[derive(Clone, Copy)]
-struct Follow;
+pub(super) struct Follow;
 
 #[derive(Clone, Copy)]
 struct Trace;
@@ -105,7 +110,8 @@ impl<W: Walk> Operation for Points<'_, W> {
             for (i, start) in starts.iter().enumerate() {
                 (x[i], y[i]) = (start[0], start[1]);
             }
-            let [u, v] = walk.lanes(s, [s.from_array(x), s.from_array(y)], steps).map(|axis| s.to_array(axis));
+            let [u, v] = walk.lanes(s, [s.from_array(x), s.from_array(y)], steps);
+            let (u, v) = (s.to_array(u), s.to_array(v));
             for (i, out) in out.iter_mut().enumerate() {
                 *out = [u[i], v[i]];
             }
@@ -137,7 +143,9 @@ impl Walk for Follow {
             at = next;
         }
         let none = s.eq(squares, zero);
-        sums.map(|sum| s.select(none, s.splat(f32::NAN), s.div(sum, squares)))
+        let nan = s.splat(f32::NAN);
+        let [u, v] = sums;
+        [s.select(none, nan, s.div(u, squares)), s.select(none, nan, s.div(v, squares))]
     }
 }
 
@@ -153,29 +161,39 @@ impl Walk for Trace {
             at = [s.add(at[0], moved[0]), s.add(at[1], moved[1])];
             alive = s.and(alive, s.not(strays(s, step.back, moved, at)));
         }
-        at.map(|axis| s.select(alive, axis, s.splat(f32::NAN)))
+        let (nan, [x, y]) = (s.splat(f32::NAN), at);
+        [s.select(alive, x, nan), s.select(alive, y, nan)]
     }
 }
 
 /// The lanes on which both coordinates are finite.
 #[inline(always)]
-fn finite<S: Simd>(s: S, at: [S::F32; 2]) -> S::Mask {
+pub(super) fn finite<S: Simd>(s: S, at: [S::F32; 2]) -> S::Mask {
     // x − x is 0 for finite numbers, NaN for others.
-    let [x, y] = at.map(|x| s.eq(s.sub(x, x), s.splat(0.0)));
-    s.and(x, y)
+    let [x, y] = at;
+    s.and(s.eq(s.sub(x, x), s.splat(0.0)), s.eq(s.sub(y, y), s.splat(0.0)))
 }
 
 /// The lanes on which a step by `moved`, to `next`, leaves the picture or does not come back.
 #[inline(always)]
 fn strays<S: Simd>(s: S, back: &Field, moved: [S::F32; 2], next: [S::F32; 2]) -> S::Mask {
     let [height, width] = back.size.map(|side| side as f32);
-    let within = |x: S::F32, side: f32| s.and(s.le(s.splat(-0.5), x), s.le(x, s.splat(side - 0.5)));
-    let inside = s.and(within(next[0], width), within(next[1], height));
+    let inside = s.and(within(s, next[0], width), within(s, next[1], height));
     let [u, v] = sample(s, back, next);
-    let length = |x: S::F32, y: S::F32| s.sqrt(s.mul_add(x, x, s.mul(y, y)));
-    let missed = length(s.add(moved[0], u), s.add(moved[1], v));
-    let allowed = s.mul_add(s.splat(0.1), length(moved[0], moved[1]), s.splat(ASTRAY));
+    let missed = length(s, [s.add(moved[0], u), s.add(moved[1], v)]);
+    let allowed = s.mul_add(s.splat(0.1), length(s, moved), s.splat(ASTRAY));
     s.or(s.not(inside), s.lt(allowed, missed))
+}
+
+/// The lanes on which a coordinate is within the picture.
+#[inline(always)]
+fn within<S: Simd>(s: S, x: S::F32, side: f32) -> S::Mask {
+    s.and(s.le(s.splat(-0.5), x), s.le(x, s.splat(side - 0.5)))
+}
+
+#[inline(always)]
+fn length<S: Simd>(s: S, [x, y]: [S::F32; 2]) -> S::F32 {
+    s.sqrt(s.mul_add(x, x, s.mul(y, y)))
 }
 
 /// The displacements of a field at points.

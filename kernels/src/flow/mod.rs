@@ -39,6 +39,7 @@
 //! at most as long as the picture on either axis. Luma that is not finite is an error, and so are weights other than
 //! from 0 to 10⁶; `start` is ignored where it is not finite.
 
+mod align;
 mod blend;
 mod densify;
 mod field;
@@ -54,6 +55,7 @@ mod split;
 
 use tracing::debug_span;
 
+pub use align::{Lumas, align};
 pub use blend::Blend;
 pub use field::{Field, warp};
 pub use follow::{Step, follow, trace};

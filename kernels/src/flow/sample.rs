@@ -63,6 +63,64 @@ impl Sampler {
     }
 }
 
+impl Sampler {
+    /// The values of a plane at points and at those one pixel to the right, to the left, below and above, bilinear with
+    /// the weights of the point itself.
+    #[inline(always)]
+    pub fn cross<S: Simd>(self, s: S, plane: &[f32], [x, y]: [S::F32; 2]) -> [S::F32; 5] {
+        assert!(plane.len() > (self.h - 1) * self.stride + self.w - 1, "a tap beyond the plane");
+        let ((columns, fx), (rows, fy)) = (four(s, x, self.w), four(s, y, self.h));
+        let mut values = [[s.splat(0.0); 4]; 4];
+        for row in 0..4 {
+            for column in 0..4 {
+                // The corners belong to none of the five.
+                if (row == 0 || row == 3) && (column == 0 || column == 3) {
+                    continue;
+                }
+                let mut taps = [0; LANES];
+                for i in 0..LANES {
+                    taps[i] = rows[row][i] as u32 * self.stride as u32 + columns[column][i] as u32;
+                }
+                // SAFETY: rows and columns are those of the picture, whose last value the plane has.
+                values[row][column] = unsafe { gather(s, plane, &taps) };
+            }
+        }
+        let [above, upper, lower, below] = values;
+        let middle = [toward(s, fx, upper[1], upper[2]), toward(s, fx, lower[1], lower[2])];
+        let right = [toward(s, fx, upper[2], upper[3]), toward(s, fx, lower[2], lower[3])];
+        let left = [toward(s, fx, upper[0], upper[1]), toward(s, fx, lower[0], lower[1])];
+        [
+            toward(s, fy, middle[0], middle[1]),
+            toward(s, fy, right[0], right[1]),
+            toward(s, fy, left[0], left[1]),
+            toward(s, fy, middle[1], toward(s, fx, below[1], below[2])),
+            toward(s, fy, toward(s, fx, above[1], above[2]), middle[0]),
+        ]
+    }
+}
+
+/// `a + weight·(b − a)`, the sum fused.
+#[inline(always)]
+fn toward<S: Simd>(s: S, weight: S::F32, a: S::F32, b: S::F32) -> S::F32 {
+    s.mul_add(weight, s.sub(b, a), a)
+}
+
+/// Four neighbouring whole coordinates around `at`, second and third its own, each ended with an axis of `n` values;
+/// and the third one's weight.
+#[inline(always)]
+fn four<S: Simd>(s: S, at: S::F32, n: usize) -> ([[i32; LANES]; 4], S::F32) {
+    let last = s.splat((n - 1) as f32);
+    // Beyond these nothing changes. A comparison with NaN is false: it ends on the last value.
+    let at = s.max(s.min(at, s.add(last, s.splat(2.0))), s.splat(-2.0));
+    let floor = s.floor(at);
+    let mut whole = [[0; LANES]; 4];
+    for (i, whole) in whole.iter_mut().enumerate() {
+        let place = s.max(s.min(s.add(floor, s.splat(i as f32 - 1.0)), last), s.splat(0.0));
+        *whole = s.to_array_i32(s.to_i32(place));
+    }
+    (whole, s.sub(at, floor))
+}
+
 /// Four indices and two weights for every lane.
 pub(super) struct Taps<S: Simd> {
     /// Each at most `last`, since coordinates end with the picture.
@@ -140,4 +198,20 @@ pub fn sample_one(plane: &[f32], [h, w]: [usize; 2], x: f32, y: f32) -> f32 {
     };
     let (upper, lower) = (row(y0), row(y1));
     crate::simd::fused_mul_add(fy, lower - upper, upper)
+}
+
+/// [`Sampler::cross`] for one point.
+#[cfg(test)]
+pub(super) fn cross_one(plane: &[f32], [h, w]: [usize; 2], [x, y]: [f32; 2]) -> [f32; 5] {
+    let axis = |at: f32, n: usize| {
+        let at = at.clamp(-2.0, n as f32 + 1.0);
+        (at.floor(), at - at.floor())
+    };
+    let ((x, fx), (y, fy)) = (axis(x, w), axis(y, h));
+    let value =
+        |x: f32, y: f32| plane[y.clamp(0.0, h as f32 - 1.0) as usize * w + x.clamp(0.0, w as f32 - 1.0) as usize];
+    let between = |weight: f32, a: f32, b: f32| weight.mul_add(b - a, a);
+    let row = |x: f32, y: f32| between(fx, value(x, y), value(x + 1.0, y));
+    [[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]
+        .map(|[dx, dy]| between(fy, row(x + dx, y + dy), row(x + dx, y + dy + 1.0)))
 }

@@ -491,3 +491,148 @@ fn points_follow_the_flow_as_in_the_reference_to_the_bit() {
         }
     }
 }
+
+/// [`align`] as documented, point by point.
+fn aligned([x, y]: [f32; 2], lumas: Lumas<'_>, steps: &[Step<'_>], velocity: [f32; 2]) -> [f32; 2] {
+    let Some((last, earlier)) = steps.split_last().filter(|(_, earlier)| !earlier.is_empty()) else { return velocity };
+    if !(x.is_finite() && y.is_finite()) {
+        return velocity;
+    }
+    let around = |frame: &[f32], at: [f32; 2]| sample::cross_one(frame, last.there.size, at);
+    let sum = 5.0 * earlier.iter().fold(0.0, |sum, step| sum + (1.0 - step.distance / last.distance));
+    let misfit = |[u, v]: [f32; 2]| {
+        let mut misfit = 0.0_f32;
+        for (frame, step) in lumas.to.iter().zip(earlier) {
+            let there = [u.mul_add(step.distance, x), v.mul_add(step.distance, y)];
+            for (found, base) in around(frame, there).into_iter().zip(around(lumas.from, [x, y])) {
+                let difference = (found - base).abs().min(0.12);
+                misfit = ((1.0 - step.distance / last.distance) / sum).mul_add(difference, misfit);
+            }
+        }
+        misfit
+    };
+    let own = if velocity.iter().any(|x| x.is_nan()) { [0.0; 2] } else { velocity };
+    let former = misfit(own);
+    // False for NaN.
+    if !(former >= 0.04) {
+        return velocity;
+    }
+    let mut best = (former, own);
+    let compete = |best: &mut (f32, [f32; 2]), velocity: [f32; 2]| {
+        let better = velocity.iter().all(|x| x.is_finite()) && misfit(velocity) < best.0;
+        if better {
+            *best = (misfit(velocity), velocity);
+        }
+        better
+    };
+    let directions: [[f32; 2]; 4] = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
+    let corners = [[6.0, 6.0], [6.0, -6.0], [-6.0, 6.0], [-6.0, -6.0]];
+    for [dx, dy] in directions.map(|direction| direction.map(|x| 8.0 * x)).into_iter().chain(corners) {
+        compete(&mut best, followed([x + dx, y + dy], steps));
+    }
+    compete(&mut best, [0.0; 2]);
+    let mut length = 1.0_f32;
+    for _ in 0..3 {
+        let [u, v] = best.1;
+        let tried = directions.iter().map(|[dx, dy]| [dx.mul_add(length, u), dy.mul_add(length, v)]);
+        let better = tried.fold(false, |any, velocity| compete(&mut best, velocity) | any);
+        length = if better { length } else { length * 0.5 };
+    }
+    if best.0 < 0.9 * former - 0.003 { best.1 } else { velocity }
+}
+
+#[test]
+fn velocities_are_aligned_as_in_the_reference_to_the_bit() {
+    for size @ [h, w] in [[1, 1], [1, 40], [9, 8], [61, 97]] {
+        let frames: Vec<Vec<f32>> = (0..4)
+            .map(|k| {
+                let rough = noise(h * w, 40 + k);
+                let smooth = picture(size, |x, y| texture(x - 2.0 * k as f32, y + k as f32));
+                smooth.iter().zip(rough).map(|(a, b)| (a + 0.1 * b).clamp(0.0, 1.0)).collect()
+            })
+            .collect();
+        let near = |seed: u32, u: f32, v: f32| Field {
+            size,
+            u: noise(h * w, seed).iter().map(|x| x + u).collect(),
+            v: noise(h * w, seed + 1).iter().map(|x| x + v).collect(),
+        };
+        let fields: Vec<[Field; 2]> = (0..4).map(|k| [near(9 * k, 2.0, -1.0), near(9 * k + 5, -2.0, 1.0)]).collect();
+        let distances = [0.25, 0.5, 0.75, 1.0];
+        let steps: Vec<Step<'_>> =
+            fields.iter().zip(distances).map(|([there, back], distance)| Step { there, back, distance }).collect();
+        let extremes = [f32::NAN, f32::INFINITY, -0.0, -1e30, 1e30, -0.5, w as f32 - 0.5];
+        let mut starts: Vec<[f32; 2]> = extremes.iter().flat_map(|&x| [[x, 0.0], [0.0, x]]).collect();
+        let places = noise(2 * 3001, 77);
+        starts.extend(places.as_chunks::<2>().0.iter().map(|[x, y]| [(x + 0.5) * w as f32, (y + 0.5) * h as f32]));
+        for count in [4, 2, 1, 0] {
+            let steps = &steps[..count];
+            let to: Vec<&[f32]> = frames.iter().skip(1).take(count.saturating_sub(1)).map(Vec::as_slice).collect();
+            let lumas = Lumas { from: &frames[0], to: &to };
+            // Some are right, some are wrong, some are not known.
+            let before = starts.iter().enumerate().map(|(i, start)| match i % 3 {
+                0 => followed(*start, steps),
+                1 => [(i % 17) as f32 - 8.0, (i % 13) as f32 - 6.0],
+                _ => [f32::NAN; 2],
+            });
+            let before: Vec<[f32; 2]> = before.collect();
+            let expected: Vec<[f32; 2]> =
+                starts.iter().zip(&before).map(|(&start, &own)| aligned(start, lumas, steps, own)).collect();
+            let found = on_every_level_and_thread_count(2 * starts.len(), |level, found| {
+                let found = found.as_chunks_mut::<2>().0;
+                found.copy_from_slice(&before);
+                align(level, lumas, &starts, steps, found);
+            });
+            for (i, (found, expected)) in found.as_chunks::<2>().0.iter().zip(&expected).enumerate() {
+                let same = |k: usize| {
+                    found[k].to_bits() == expected[k].to_bits() || (found[k].is_nan() && expected[k].is_nan())
+                };
+                assert!(same(0) && same(1), "{h}×{w}, from {:?}: {found:?}, expected {expected:?}", starts[i]);
+            }
+            let changed = before.iter().zip(&expected).filter(|(a, b)| a[0].to_bits() != b[0].to_bits()).count();
+            assert!((count > 1 && w > 1) == (changed > 0), "{changed} changed over {count} steps at {h}×{w}");
+        }
+    }
+}
+
+/// A square of 40 pixels passes over a still picture, and the flow moves a border of 5 pixels around it along with it.
+#[test]
+fn what_lies_behind_the_edge_of_a_body_stays_behind() {
+    let (size, speed) = ([120, 160], 3.0);
+    let inside = |x: f32, y: f32, margin: f32, k: f32| {
+        (40.0 - margin..80.0 + margin).contains(&(x - speed * k)) && (40.0 - margin..80.0 + margin).contains(&y)
+    };
+    let frame = |k: f32| {
+        picture(size, |x, y| match inside(x, y, 0.0, k) {
+            true => 0.3 * texture(2.0 * (x - speed * k) + 300.0, 2.0 * y),
+            false => 2.0 * texture(3.0 * x, 3.0 * y) - 0.5,
+        })
+    };
+    let frames = [0.0, 1.0, 2.0, 3.0].map(frame);
+    let flow = |k: f32, sign: f32| Field {
+        size,
+        u: picture(size, |x, y| if inside(x, y, 5.0, k) { sign * speed } else { 0.0 }),
+        v: vec![0.0; size[0] * size[1]],
+    };
+    let fields = [0.0, 1.0, 2.0, 3.0].map(|k| [flow(k, 1.0), flow(k + 1.0, -1.0)]);
+    let steps: Vec<Step<'_>> = fields
+        .iter()
+        .zip([0.25, 0.5, 0.75, 1.0])
+        .map(|([there, back], distance)| Step { there, back, distance })
+        .collect();
+    let lumas = Lumas { from: &frames[0], to: &[&frames[1], &frames[2], &frames[3]] };
+    // Above and to the left of the square, where it covers nothing later on; and in the square.
+    let places = |rows: std::ops::Range<i32>, columns: std::ops::Range<i32>| -> Vec<[f32; 2]> {
+        rows.flat_map(|y| columns.clone().map(move |x| [x as f32, y as f32])).collect()
+    };
+    let behind = [places(36..39, 36..80), places(40..80, 36..39)].concat();
+    let body = places(42..78, 42..78);
+    let level = crate::Level::detect();
+    for (starts, own, expected) in [(&behind, 12.0, 0.0), (&body, 12.0, 12.0)] {
+        let mut velocities = vec![[0.0; 2]; starts.len()];
+        follow(level, starts, &steps, &mut velocities);
+        assert!(velocities.iter().all(|v| *v == [own, 0.0]), "the flow moves them");
+        align(level, lumas, starts, &steps, &mut velocities);
+        let right = velocities.iter().filter(|v| (v[0] - expected).abs() < 0.5 && v[1].abs() < 0.5).count();
+        assert!(right * 20 >= starts.len() * 19, "{right} of {}", starts.len());
+    }
+}
