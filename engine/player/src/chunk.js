@@ -269,7 +269,10 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
   }
   let most = 0;
   for (const channel of rates) for (const i of shown) most = Math.max(most, Math.abs(channel[i]));
-  const rateStep = Math.fround(most / 127);
+  const rateStep = Math.fround(most / (127 * 127));
+  let beyond = 0;
+  for (const channel of colours) for (const i of shown) beyond = Math.max(beyond, Math.fround(channel[i] - 1), -channel[i]);
+  beyond = Math.min(0.25, beyond);
   const total = shown.length;
   const buffer = new ArrayBuffer(HEADER + total * (RECORD + 2 + (rateStep > 0 ? 3 : 0)));
   const view = new DataView(buffer);
@@ -286,6 +289,7 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
     view.setFloat32(offset + 12, step, true);
   });
   view.setFloat32(88, rateStep, true);
+  view.setFloat32(92, beyond, true);
   const words = new Uint32Array(buffer, HEADER, total * WORDS);
   const shorts = new Uint16Array(buffer, HEADER, total * SHORTS);
   const bytes = new Uint8Array(buffer, HEADER, total * RECORD);
@@ -308,7 +312,7 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
     }
     shorts[short + 6] = steepness(i);
     shorts[short + 7] = widths(i);
-    for (let k = 0; k < 3; k++) bytes[byte + 16 + k] = unit(colours[k][i], 255);
+    for (let k = 0; k < 3; k++) bytes[byte + 16 + k] = unit((colours[k][i] + beyond) / (1 + 2 * beyond), 255);
     bytes[byte + 19] = unit(opacity[i], 255);
     shorts[short + 10] = scales[0](i);
     shorts[short + 11] = scales[1](i);
@@ -318,8 +322,8 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
     ages[place] = Math.min(65535, Math.max(0, age));
     if (!(rateStep > 0)) return;
     for (let k = 0; k < 3; k++) {
-      const steps = nearestTo(rates[k][i] / rateStep);
-      view.setInt8(HEADER + total * (RECORD + 2) + 3 * place + k, Math.min(127, Math.max(-128, steps)));
+      const steps = Math.min(127, Math.round(Math.sqrt(Math.abs(rates[k][i]) / rateStep)));
+      view.setInt8(HEADER + total * (RECORD + 2) + 3 * place + k, rates[k][i] < 0 ? -steps : steps);
     }
   });
   return buffer;

@@ -172,6 +172,7 @@ export class Drawing {
     this.bind(this.rates, 2);
     gl.uniform1i(at.rates, 2);
     gl.uniform1f(at.rateStep, packet.rateStep);
+    gl.uniform1f(at.beyond, packet.beyond);
     for (const name of ["positionLow", "positionStep", "velocityLow", "velocityStep"]) gl.uniform3fv(at[name], packet[name]);
     gl.uniform1f(at.t, t);
     gl.uniform2fv(at.own, view.own);

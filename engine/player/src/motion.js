@@ -61,6 +61,7 @@ export function colourAt(packet, i, t, view) {
     return packet.colour(i, view.pinhole ? away.map((x) => x / Math.hypot(...away)) : view.axes[2]);
   }
   const change = 255 * packet.rateStep * (t - packet.reference(i));
-  const at = (value, channel) => value + change * (packet.rates[3 * i + channel] ?? 0);
+  const rate = (channel) => packet.rates[3 * i + channel] ?? 0;
+  const at = (value, channel) => value + change * rate(channel) * Math.abs(rate(channel));
   return Array.from(packet.colour(i), (value, channel) => Math.min(255, Math.max(0, Math.round(at(value, channel)))));
 }

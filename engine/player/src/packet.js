@@ -31,6 +31,7 @@ export class Packet {
     if (magic !== 0x7373706b || view.getUint32(4, true) !== 1) throw new Error("not an interval of a version this page reads");
     const count = view.getUint32(32, true);
     this.rateStep = view.getFloat32(88, true);
+    this.beyond = view.getFloat32(92, true);
     const rates = this.rateStep > 0 ? count : 0;
     if (buffer.byteLength !== HEADER + count * (RECORD + 2) + 3 * rates) throw new Error("an interval of the wrong length");
     const vector = (at) => [0, 4, 8].map((offset) => view.getFloat32(at + offset, true));
@@ -47,7 +48,7 @@ export class Packet {
     this.shorts = new Uint16Array(buffer, HEADER, count * SHORTS);
     this.bytes = new Uint8Array(buffer, HEADER, count * RECORD);
     this.ages = new Uint16Array(buffer, HEADER + count * RECORD, count);
-    /** Three per record; empty if colours do not change. */
+    /** Three per record, `rateStep * q * |q|` each; empty if colours do not change. */
     this.rates = new Int8Array(buffer, HEADER + count * (RECORD + 2), 3 * rates);
   }
 
@@ -72,9 +73,10 @@ export class Packet {
     return (BigInt(high) << 32n) | BigInt(low);
   }
 
-  /** Returns red, green and blue in [0, 255], at the reference time. */
+  /** Returns red, green and blue at the reference time, 255 for one; some lie `255 * beyond` under 0 or above 255. */
   colour(i) {
-    return this.bytes.subarray(i * RECORD + 16, i * RECORD + 19);
+    const value = (byte) => (1 + 2 * this.beyond) * byte - 255 * this.beyond;
+    return Array.from(this.bytes.subarray(i * RECORD + 16, i * RECORD + 19), value);
   }
 
   opacity(i) {

@@ -95,7 +95,7 @@ class Splats extends playback(Object) {
       fill(textures.records, (words) => words.set(packet.words));
       fill(textures.rates, (fours) => inFours(packet.rates, fours));
       for (const name of ["positionLow", "positionStep", "velocityLow", "velocityStep"]) material.setParameter(name, packet[name]);
-      material.setParameter("rateStep", packet.rateStep);
+      for (const name of ["rateStep", "beyond"]) material.setParameter(name, packet[name]);
       this.packet = packet;
     }
     if (order !== this.ordered) {

@@ -97,6 +97,7 @@ const SPLAT = /* glsl */ `
 uniform usampler2D records;
 uniform isampler2D rates;
 uniform float rateStep;   // 0 where colours stay
+uniform float beyond;     // by which colours exceed 0 and 1
 uniform vec3 positionLow, positionStep, velocityLow, velocityStep;
 uniform float t;
 uniform vec3 eye;
@@ -163,9 +164,10 @@ bool splatOf(out vec2 centre, out vec3 m1, out vec3 m2, out vec3 value, out floa
     m1 *= focal.x;
     m2 *= focal.y;
   }
-  vec3 rgb = vec3(b.x & 255u, (b.x >> 8) & 255u, (b.x >> 16) & 255u) / 255.0;
+  vec3 rgb = vec3(b.x & 255u, (b.x >> 8) & 255u, (b.x >> 16) & 255u) * (1.0 + 2.0 * beyond) / 255.0 - beyond;
   if (rateStep > 0.0) {
-    rgb += rateStep * tau * vec3(texelFetch(rates, ivec2(int(record % PER_ROW), int(record / PER_ROW)), 0).rgb);
+    vec3 steps = vec3(texelFetch(rates, ivec2(int(record % PER_ROW), int(record / PER_ROW)), 0).rgb);
+    rgb += rateStep * tau * steps * abs(steps);
   }
   value = mode == 0 ? rgb
              : mode == 1 ? vec3(world.y, 0.0, 0.0)

@@ -45,7 +45,7 @@ export async function load(THREE, source, options = {}) {
         turn: value(new THREE.Matrix3()),
         ...Object.fromEntries(["positionLow", "positionStep", "velocityLow", "velocityStep", "eye"].map((name) => [name, value(new THREE.Vector3())])),
         ...Object.fromEntries(["focal", "own", "size"].map((name) => [name, value(new THREE.Vector2())])),
-        ...Object.fromEntries(["rateStep", "t", "units", "scale"].map((name) => [name, value(0)])),
+        ...Object.fromEntries(["rateStep", "beyond", "t", "units", "scale"].map((name) => [name, value(0)])),
         pinhole: value(false),
         mode: value(COLOUR),
       };
@@ -97,6 +97,7 @@ export async function load(THREE, source, options = {}) {
         for (const name of ["records", "rates"]) uniforms[name].value.needsUpdate = true;
         for (const name of ["positionLow", "positionStep", "velocityLow", "velocityStep"]) uniforms[name].value.fromArray(packet[name]);
         uniforms.rateStep.value = packet.rateStep;
+        uniforms.beyond.value = packet.beyond;
         this.packet = packet;
       }
       if (order !== this.ordered) {

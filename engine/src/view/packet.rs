@@ -11,7 +11,7 @@
 //! | 16 | f64, f64 | start and end in seconds |
 //! | 32 | u32, u32 | count; zero |
 //! | 40 | 4 × 3 f32 | `low` and `step` of positions, `low` and `step` of velocities |
-//! | 88 | f32, u32 | `step` of rates; zero |
+//! | 88 | f32, f32 | `step` of rates; `beyond` of colours |
 //!
 //! | record | | value | error at most |
 //! |---|---|---|---|
@@ -19,13 +19,17 @@
 //! | 6 | 3 × u16 | velocity, likewise | likewise |
 //! | 12 | f16 | γ₀, at most 65,504 | 2⁻¹¹ of it |
 //! | 14 | u16 | γ₁·65535 | 1 / 131,070 |
-//! | 16 | 4 × u8 | red, green, blue, opacity, each times 255 | 1 / 510 |
+//! | 16 | 3 × u8 | red, green, blue: `(1 + 2·beyond)·q/255 − beyond` | `(1 + 2·beyond)` / 510 |
+//! | 19 | u8 | opacity times 255 | 1 / 510 |
 //! | 20 | 2 × f16 | standard deviations along x and z, at most 65,504 | 2⁻¹¹ of it, 2⁻²⁵ |
 //! | 24 | u64 | identity in the low 56 bits; bit 56 reference; bits 57 and 58 handover | none below 2⁵⁶ |
 //! | | | thickness in bits 59 to 63: 2^(q/4), q a signed number | from 2⁻⁴ to 2^(15/4) an eighth of an octave |
 //!
-//! A rate is the change of red, green and blue per interval, 3 × i8: `step·q`, with an error of half a step at most,
-//! which is a 254th of the largest.
+//! A rate is the change of red, green and blue per interval, 3 × i8: `step·q·|q|`, with an error of `step·(|q| + 1)` at
+//! most. The step is a 16,129th of the largest rate. Small rates, which most are, have small errors.
+//!
+//! Fitted colours may exceed 0 and 1, so `beyond` is the most by which a colour of the interval does, and at most ¼:
+//! colours that exceed them by more are clamped.
 //!
 //! An age is the number of key frames from the identity's birth to the interval's end, at most 65,535. Omitted are
 //! Gaussians that no image of the interval can show: opacities under 1/255, inverse depths that stay on one side
@@ -45,8 +49,10 @@ pub const VERSION: u32 = 1;
 pub const HEADER: usize = 96;
 /// Bytes of a record.
 pub const RECORD: usize = 32;
-/// Steps of the largest rate.
-const RATE_STEPS: f32 = 127.0;
+/// Square of the number of steps of the largest rate.
+const RATE_STEPS: f32 = 127.0 * 127.0;
+/// The most by which colours exceed 0 and 1.
+const MOST_BEYOND: f32 = 0.25;
 /// Steps of a range.
 const STEPS: f64 = 65535.0;
 /// The identity's part of a record's last word.
@@ -71,14 +77,17 @@ pub fn packet(interval: &Interval) -> Vec<u8> {
     for values in [position.low, position.step, velocity.low, velocity.step] {
         values.iter().for_each(|v| out.extend_from_slice(&v.to_le_bytes()));
     }
+    let beyond = shown.iter().flat_map(|r| r.rgb).fold(0.0, |most: f32, value| most.max((value - 1.0).max(-value)));
+    let beyond = beyond.min(MOST_BEYOND);
     out.extend_from_slice(&rate.to_le_bytes());
-    out.resize(HEADER, 0);
+    out.extend_from_slice(&beyond.to_le_bytes());
+    debug_assert_eq!(out.len(), HEADER);
     for r in &shown {
         let words = position.steps(r.mean).into_iter().chain(velocity.steps(r.velocity));
         let words = words.chain([half(r.gamma[0]), unit(r.gamma[1], STEPS) as u16]);
         words.for_each(|w| out.extend_from_slice(&w.to_le_bytes()));
-        let [red, green, blue] = r.rgb;
-        out.extend([red, green, blue, r.opacity].map(|v| unit(v, 255.0) as u8));
+        out.extend(r.rgb.map(|value| within(value, beyond)));
+        out.push(unit(r.opacity, 255.0) as u8);
         r.scale.iter().for_each(|s| out.extend_from_slice(&half(*s).to_le_bytes()));
         let flags = r.reference as u64 | (r.handover as u64) << 1 | thickness(r.thickness) << 3;
         out.extend_from_slice(&(r.identity & IDENTITY | flags << 56).to_le_bytes());
@@ -89,7 +98,10 @@ pub fn packet(interval: &Interval) -> Vec<u8> {
     }
     if rate > 0.0 {
         // The conversion saturates.
-        let steps = |change: f32| (f64::from(change) / f64::from(rate)).round() as i8;
+        let steps = |change: f32| {
+            let steps = (f64::from(change.abs()) / f64::from(rate)).sqrt().round() as i8;
+            if change < 0.0 { -steps } else { steps }
+        };
         out.extend(shown.iter().flat_map(|r| r.rgb_rate).flat_map(|change| steps(change).to_le_bytes()));
     }
     out
@@ -152,6 +164,12 @@ fn unit(value: f32, steps: f64) -> u32 {
     (f64::from(value.clamp(0.0, 1.0)) * steps + 0.5) as u32
 }
 
+/// The nearest 255th of the range from `−beyond` to `1 + beyond`.
+fn within(value: f32, beyond: f32) -> u8 {
+    let (value, beyond) = (f64::from(value), f64::from(beyond));
+    ((value + beyond) / (1.0 + 2.0 * beyond) * 255.0 + 0.5).clamp(0.0, 255.0) as u8
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -174,7 +192,7 @@ mod tests {
                     opacity: 0.004 + 0.99 * grain,
                     scale: [1e-3 + grain, 0.07 * grain],
                     thickness: 12.0 * grain * grain,
-                    rgb: [grain, 1.0 - grain, 0.5],
+                    rgb: [1.3 * grain - 0.1, 1.0 - grain, 0.5],
                     rgb_rate: [0.3 * grain, -0.2, grain * grain - 0.5],
                     identity: (1 << 40) + i as u64,
                     birth: i as u64 * 271,
@@ -216,9 +234,14 @@ mod tests {
                 assert!((found - value).abs() <= value / 2048.0 + 3e-8, "{i}: {found} {value}");
             }
             assert!((f32::from(word(&bytes, at + 14)) / 65535.0 - r.gamma[1]).abs() <= 1.0 / 131_000.0);
-            for (k, value) in [r.rgb[0], r.rgb[1], r.rgb[2], r.opacity].into_iter().enumerate() {
-                assert!((f32::from(bytes[at + 16 + k]) / 255.0 - value).abs() <= 1.0 / 509.0);
+            let beyond = float(&bytes, 92);
+            assert!((0.19..0.2).contains(&beyond), "{beyond}");
+            let range = 1.0 + 2.0 * beyond;
+            for (k, value) in r.rgb.into_iter().enumerate() {
+                let found = range * f32::from(bytes[at + 16 + k]) / 255.0 - beyond;
+                assert!((found - value).abs() <= range / 509.0, "{i} {k}: {found} {value}");
             }
+            assert!((f32::from(bytes[at + 19]) / 255.0 - r.opacity).abs() <= 1.0 / 509.0);
             let last = u64::from_le_bytes(bytes[at + 24..at + 32].try_into().expect("eight bytes"));
             assert_eq!(last & IDENTITY, r.identity);
             assert_eq!(last >> 56 & 7, r.reference as u64 + 2 * r.handover as u64);
@@ -226,8 +249,9 @@ mod tests {
             assert!((quarters / 4.0 - r.thickness.log2().max(-4.0)).abs() <= 0.125001, "{i}: {quarters}");
             let step = float(&bytes, 88);
             for channel in 0..3 {
-                let found = step * f32::from(bytes[HEADER + records.len() * 34 + 3 * i + channel].cast_signed());
-                assert!((found - r.rgb_rate[channel]).abs() <= 0.5001 * step, "{i} {channel}: {found}");
+                let q = f32::from(bytes[HEADER + records.len() * 34 + 3 * i + channel].cast_signed());
+                let found = step * q * q.abs();
+                assert!((found - r.rgb_rate[channel]).abs() <= step * (q.abs() + 1.0), "{i} {channel}: {found}");
             }
             let age = word(&bytes, HEADER + records.len() * RECORD + 2 * i);
             assert_eq!(u64::from(age), (70_000 - r.birth).min(65_535));
@@ -239,7 +263,7 @@ mod tests {
         let still = Record { opacity: 0.5, mean: [0.0, 0.5, 0.0], ..Record::default() };
         let bytes = packet(&interval([still].into_iter().collect()));
         assert_eq!((bytes.len(), float(&bytes, 88)), (HEADER + 34, 0.0));
-        // A 127th of it is no number.
+        // A 16,129th of it is no number.
         let hardly = Record { rgb_rate: [1e-45, 0.0, 0.0], ..still };
         assert_eq!(packet(&interval([hardly].into_iter().collect())).len(), HEADER + 34);
         let most = Record { rgb_rate: [f32::MAX, -f32::MAX, 0.0], ..still };
