@@ -11,7 +11,7 @@ const [DESK, PHONE] = [[1280, 800], [390, 844]];
 /** Time limit for moving pictures: drawing is in software here. */
 const QUICK = [640, 400];
 /** PSNR of the page's own pictures against ours, in dB. */
-const ENOUGH = 45;
+const ENOUGH = 50;
 /** Milliseconds until the first picture of ten seconds from disk; a machine with other work gets three times as long. */
 const FIRST = 2000;
 
