@@ -513,8 +513,7 @@ fn aligned([x, y]: [f32; 2], lumas: Lumas<'_>, steps: &[Step<'_>], velocity: [f3
     };
     let own = if velocity.iter().any(|x| x.is_nan()) { [0.0; 2] } else { velocity };
     let former = misfit(own);
-    // False for NaN.
-    if !(former >= 0.04) {
+    if former.is_nan() || former < 0.04 {
         return velocity;
     }
     let mut best = (former, own);
