@@ -53,6 +53,9 @@ pub struct Lumas<'a> {
 ///
 /// Nothing changes where there are fewer than two steps, and for points that are not finite.
 ///
+/// Candidates from around, then changes at random, are the steps of PatchMatch (Barnes, Shechtman, Finkelstein and
+/// Goldman, SIGGRAPH 2009). The changes here are fixed.
+///
 /// # Panics
 /// When there is not one velocity per start and one frame per step but the last, and as
 /// [`follow`](super::follow) does; also when a frame has another size.
