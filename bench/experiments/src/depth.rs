@@ -1,6 +1,7 @@
 //! `depth`: quality of scenes of cards from cameras turned around them, without depth, with true depth, and with depth
-//! found by parallax; and depth found in clips against a sensor's.
+//! found by parallax; and depth found in clips against a sensor's, or against a person's answers.
 
+mod order;
 mod registration;
 mod sensor;
 
@@ -16,6 +17,7 @@ use streamsplat_bench::table::{Column, Table};
 use streamsplat_fixtures::clip::cards::Cards;
 use streamsplat_tests::turned::{Depth, Score, score};
 
+use order::Answers;
 use registration::Registration;
 
 /// Options of `depth`.
@@ -50,6 +52,13 @@ pub(crate) struct Options {
     /// (bench/experiments/sensors/seven-scenes.json).
     #[arg(long, value_name = "FILE", requires = "sensor")]
     registration: Option<PathBuf>,
+    /// Answers of a person about what is nearer (bench/experiments/sensors/order.json): compare depth found in their
+    /// clips with them instead.
+    #[arg(long, value_name = "FILE", requires = "clips", conflicts_with = "sensor")]
+    order: Option<PathBuf>,
+    /// Folders that contain these clips.
+    #[arg(long, value_name = "DIR", num_args = 1..)]
+    clips: Vec<PathBuf>,
     /// Frames from one key frame of these clips to the next.
     #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=64))]
     gap: u32,
@@ -99,6 +108,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             println!("{}", row.line());
             rows.push(row);
         }
+        return options.common.write(&rows);
+    }
+    if let Some(file) = &options.order {
+        let rows = Answers::read(file)?.compare(&settings, &options.clips, options.gap as usize)?;
+        println!("{}", order::Row::head());
+        rows.iter().for_each(|row| println!("{}", row.line()));
         return options.common.write(&rows);
     }
     let [width, height] = options.size;

@@ -26,7 +26,7 @@ pub(super) fn turn(delta: DVec3) -> DMat3 {
 
 /// Returns e and s of a match.
 fn terms(motion: &Motion, m: &Match) -> (f64, f64) {
-    let Motion { rotation, translation } = motion;
+    let Motion { rotation, translation, .. } = motion;
     let line = translation.cross(*rotation * m.one);
     let back = rotation.transpose() * m.other.cross(*translation);
     let s = line.x * line.x + line.y * line.y + back.x * back.x + back.y * back.y;

@@ -37,8 +37,8 @@ pub(super) fn of(sight: &Sight<'_>, track: &Track) -> Option<Vec<Match>> {
                 let [x, y] = sight.middle(cell);
                 let at = sight.pixel(cell);
                 matches.push(Match {
-                    one: sight.direction([x, y]),
-                    other: sight.direction([x + u, y + v]),
+                    one: sight.direction([x, y], sight.focal),
+                    other: sight.direction([x + u, y + v], sight.focal),
                     weight: f64::from(sight.texture[at]) + 1e-3,
                 });
             }

@@ -48,6 +48,7 @@ mod epipolar;
 mod fill;
 mod filter;
 mod homography;
+mod lens;
 mod linear;
 mod matches;
 mod ransac;
@@ -105,6 +106,8 @@ pub enum NoParallax {
     Flat,
     /// Too few matches fit any motion of a camera.
     Inconsistent,
+    /// What is higher in the picture would be nearer.
+    Reversed,
 }
 
 /// The camera's motion from one picture to another: `x₂ ~ R·x₁ + ρ·t`, `|t| = 1`.
@@ -114,6 +117,8 @@ pub struct Motion {
     pub rotation: DMat3,
     /// The translation t.
     pub translation: glam::DVec3,
+    /// The focal length by which positions are divided, relative to the picture's longer side.
+    pub focal: f64,
 }
 
 /// Estimates the motion of the camera, if there is parallax. `stream`: source of the random numbers.
@@ -162,7 +167,7 @@ struct Sight<'a> {
     evidence: Evidence<'a>,
     /// Rows and columns of cells.
     grid: [usize; 2],
-    /// Focal length in pixels.
+    /// Assumed focal length in pixels.
     focal: f64,
     /// The picture's width divided by 512.
     unit: f64,
@@ -213,15 +218,51 @@ impl Sight<'_> {
         if flat > FLAT && turning::share(&matches, fits) >= TURNS * flat {
             return Err(NoParallax::Flat);
         }
-        let motion = ransac::motion(&matches, fits, stream, part, shorter).ok_or(NoParallax::Inconsistent)?;
+        let usual = shorter.map_or(1.0, |motion| motion.focal / FOCAL);
+        let first = self.motion(&matches, flat, usual, |matches, fits| {
+            ransac::motion(matches, fits, stream, part, shorter)
+        });
+        let (most, reason) = match first {
+            Ok(seen) if seen.upright >= -lens::DOUBT => return Ok((seen.motion, seen.parallax)),
+            Ok(seen) => (lens::NEARLY * seen.cost, NoParallax::Reversed),
+            Err(NoParallax::Inconsistent) => (f64::INFINITY, NoParallax::Inconsistent),
+            Err(reason) => return Err(reason),
+        };
+        let longer = lens::LENSES.into_iter().filter(|lens| *lens > usual);
+        let seen = longer.filter_map(|lens| {
+            let search = |matches: &[matches::Match], fits| ransac::motion(matches, fits, stream, part, None);
+            let seen = self.motion(&matches, flat, lens, search).ok()?;
+            (seen.upright > lens::DOUBT && seen.cost <= most).then_some(seen)
+        });
+        let best = seen.min_by(|a, b| a.cost.total_cmp(&b.cost)).ok_or(reason)?;
+        Ok((best.motion, best.parallax))
+    }
+
+    /// The motion that `search` finds in the matches through a lens, if it explains enough of them beyond `flat`.
+    fn motion(
+        &self,
+        matches: &[matches::Match],
+        flat: f64,
+        lens: f64,
+        search: impl Fn(&[matches::Match], f64) -> Option<Motion>,
+    ) -> Result<Seen, NoParallax> {
+        let focal = lens * self.focal;
+        let matches = lens::through(lens, matches);
+        let fits = FITS * self.unit / focal;
+        let motion = Motion { focal: lens * FOCAL, ..search(&matches, fits).ok_or(NoParallax::Inconsistent)? };
         let fit = epipolar::fit(&motion, &matches, fits);
         if fit.share < 0.5 || fit.ahead < 0.75 {
             return Err(NoParallax::Inconsistent);
         }
-        if fit.share < flat + BEYOND || fit.parallax * self.focal < LEAST_LENGTH * self.unit {
+        if fit.share < flat + BEYOND || fit.parallax * focal < LEAST_LENGTH * self.unit {
             return Err(NoParallax::Flat);
         }
-        Ok((motion, fit.parallax * self.focal / self.unit))
+        Ok(Seen {
+            motion,
+            parallax: fit.parallax * focal / self.unit,
+            cost: epipolar::cost(&motion, matches.iter(), fits),
+            upright: lens::upright(&motion, &matches, 2.0 * fits),
+        })
     }
 
     /// Returns column and row of a cell's middle, in pixels.
@@ -238,9 +279,20 @@ impl Sight<'_> {
         row * CELL * self.evidence.there.size[1] + column * CELL
     }
 
-    /// Converts a position in pixels to a direction.
-    fn direction(&self, [x, y]: [f32; 2]) -> glam::DVec3 {
+    /// Converts a position in pixels to a direction, for a focal length in pixels.
+    fn direction(&self, [x, y]: [f32; 2], focal: f64) -> glam::DVec3 {
         let [height, width] = self.evidence.there.size.map(|side| (side as f64 - 1.0) * 0.5);
-        glam::DVec3::new((f64::from(x) - width) / self.focal, (f64::from(y) - height) / self.focal, 1.0)
+        glam::DVec3::new((f64::from(x) - width) / focal, (f64::from(y) - height) / focal, 1.0)
     }
+}
+
+/// A camera's motion that the matches show.
+struct Seen {
+    motion: Motion,
+    /// Median length of the parallax, in pixels of a picture 512 pixels wide.
+    parallax: f64,
+    /// The sum of the matches' distances from it: [`epipolar::cost`].
+    cost: f64,
+    /// Rank correlation of inverse depth and row: [`lens::upright`].
+    upright: f64,
 }

@@ -49,7 +49,7 @@ pub(super) fn motion(
             let sample: Vec<&Match> = (1..=SAMPLE as u64)
                 .map(|k| &matches[((u64::from(stream.words(first + k)[0]) * matches.len() as u64) >> 32) as usize])
                 .collect();
-            let start = Motion { rotation: turn, translation };
+            let start = Motion { rotation: turn, translation, focal: super::FOCAL };
             let rough = refine(start, sample.iter().copied(), 4.0 * fits, 4)?;
             let motion = refine(rough, jury(), 2.0 * fits, 3)?;
             Some((cost(&motion, jury(), fits), motion))

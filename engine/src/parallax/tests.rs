@@ -27,7 +27,7 @@ fn picture() -> Vec<f32> {
 /// Returns the exact flow of a scene under a motion of the camera, and its inverse.
 fn flow(scene: Scene, motion: Motion, length: f64) -> [Field; 2] {
     let [height, width] = SIZE;
-    let focal = FOCAL * width as f64;
+    let focal = motion.focal * width as f64;
     let middle = [(width as f64 - 1.0) * 0.5, (height as f64 - 1.0) * 0.5];
     let (mut there, mut back) = (Field::zero(SIZE), Field::zero(SIZE));
     let mut nearest = vec![f64::NEG_INFINITY; height * width];
@@ -58,7 +58,7 @@ fn flow(scene: Scene, motion: Motion, length: f64) -> [Field; 2] {
 
 fn motion(turn: [f64; 3], translation: [f64; 3]) -> Motion {
     let translation = DVec3::from_array(translation);
-    Motion { rotation: epipolar::turn(DVec3::from_array(turn)), translation: translation.normalize_or(DVec3::X) }
+    Motion { rotation: epipolar::turn(DVec3::from_array(turn)), translation: translation.normalize_or(DVec3::X), focal: FOCAL }
 }
 
 fn found(scene: Scene, motion: Motion, length: f64, before: Option<&Found>) -> Option<Found> {
@@ -138,6 +138,45 @@ fn a_small_thing_before_one_plane_is_parallax_unless_the_camera_may_only_turn() 
     assert_eq!(reason(moving, motion([0.0, 0.1, 0.02], [1.0, 0.0, 0.0]), 0.0), Some(NoParallax::Flat));
     // Parallax of less than 0.4 pixels of 512 does not count.
     assert_eq!(reason(planes, motion([0.0, 0.1, 0.02], [1.0, 0.0, 0.0]), 0.001), Some(NoParallax::Flat));
+}
+
+/// Returns ground that comes nearer downwards, with a wall at the left.
+fn ground(x: f64, y: f64) -> (f64, [f64; 2]) {
+    (0.2 + 0.006 * y + if x < 50.0 { 0.3 } else { 0.0 }, [0.0; 2])
+}
+
+#[test]
+fn a_long_lens_that_follows_something_does_not_turn_near_and_far_around() {
+    // The camera moves to the right and turns against it, by more pixels than the parallax has.
+    let long = Motion { focal: 2.2 * FOCAL, ..motion([0.0, -0.08, 0.0], [1.0, 0.0, 0.0]) };
+    let [there, back] = flow(ground, long, 0.04);
+    let rgb = picture();
+    let evidence = Evidence { rgb: &rgb, there: &there, back: &back };
+    let sight = Sight::new(Level::scalar(), evidence);
+    let matches = matches::of(&sight, &Track::of(&sight)).expect("matches");
+    let fits = FITS * sight.unit / sight.focal;
+    let usual = ransac::motion(&matches, fits, STREAM, 0, None).expect("a motion");
+    let upright = lens::upright(&usual, &matches, 2.0 * fits);
+    assert!(upright < -lens::DOUBT, "the assumed lens turns the scene around: {upright}");
+    let found = found(ground, long, 0.04, None).expect("parallax");
+    let order = order(&found.map(Level::scalar(), &rgb, SIZE), ground);
+    assert!(order > 0.9, "{order}");
+    let camera = camera(Level::scalar(), evidence, STREAM).expect("parallax");
+    assert!(camera.focal > 1.2 * FOCAL, "{}", camera.focal);
+    // Where it turns less, the assumed lens puts a part of the scene behind the camera.
+    let less = Motion { rotation: epipolar::turn(DVec3::new(0.0, -0.052, 0.0)), ..long };
+    let [there, back] = flow(ground, less, 0.08);
+    let evidence = Evidence { rgb: &rgb, there: &there, back: &back };
+    let camera = super::camera(Level::scalar(), evidence, STREAM).expect("parallax");
+    assert!(camera.focal > 1.2 * FOCAL, "{}", camera.focal);
+}
+
+#[test]
+fn a_scene_whose_upper_parts_are_nearer_has_no_depth() {
+    let ceiling: Scene = |x, y| ground(x, SIZE[0] as f64 - 1.0 - y);
+    let right = motion([0.0; 3], [1.0, 0.0, 0.0]);
+    assert_eq!(reason(ceiling, right, 0.12), Some(NoParallax::Reversed));
+    assert_eq!(reason(ground, right, 0.12), None);
 }
 
 #[test]

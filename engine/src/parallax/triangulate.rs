@@ -46,14 +46,15 @@ pub(super) fn inverse_depth(motion: &Motion, one: DVec3, other: DVec3) -> (f64, 
 /// median of the certain ones. Also returns the parallax, in pixels of a picture 512 pixels wide, that has a confidence
 /// of 1: `unit`, or the median of this track.
 pub(super) fn cells(sight: &Sight<'_>, track: &Track, motion: &Motion, unit: Option<f64>) -> (Vec<Cell>, f64) {
-    let pixels = sight.focal / sight.unit;
+    let focal = motion.focal / super::FOCAL * sight.focal;
+    let pixels = focal / sight.unit;
     let count = sight.grid[0] * sight.grid[1];
     let mut lengths = Vec::with_capacity(count);
     let mut cells: Vec<(Cell, f64)> = (0..count)
         .map(|cell| {
             let at = sight.middle(cell);
             let [u, v] = [track.u[cell], track.v[cell]];
-            let m = Match { one: sight.direction(at), other: sight.direction([at[0] + u, at[1] + v]), weight: 1.0 };
+            let m = Match { one: sight.direction(at, focal), other: sight.direction([at[0] + u, at[1] + v], focal), weight: 1.0 };
             let (inverse, length, beside) = inverse_depth(motion, m.one, m.other);
             let pixel = sight.pixel(cell);
             let (astray, texture) = (f64::from(track.astray[cell]) / sight.unit, f64::from(sight.texture[pixel]));
