@@ -31,7 +31,7 @@
 //!
 //! | interval | result |
 //! |---|---|
-//! | a camera that does not move or only turns, a single plane, no motion that half of the matches fit, a median parallax of less than 0.4 pixels of 512 | the inverse depth of the previous frame, carried along the flow; its confidence falls with each key frame |
+//! | a camera that does not move or only turns, a single plane, no motion that half of the matches fit, a median parallax of less than 0.4 pixels of 512, upper parts that would be nearer through every lens tried | the inverse depth of the previous frame, carried along the flow; its confidence falls with each key frame |
 //! | no depth to carry, or one without confidence | none: the frame is processed without a map |
 //! | flow with NaN | none |
 //! | constant inverse depth | none |
@@ -40,7 +40,8 @@
 //! to that frame, and joined with it.
 //!
 //! The focal length is unknown and assumed to be [`FOCAL`] times the picture's longer side. A wrong focal length
-//! distorts depth but keeps its order. All arithmetic is in binary64 or binary32 in one order on one thread, with +, −,
+//! distorts depth. If the camera turns while it moves, it may even reverse the order: then longer ones are tried, see
+//! `lens`. All arithmetic is in binary64 or binary32 in one order on one thread, with +, −,
 //! ×, / and √ and the exponential of [`streamsplat_kernels::math`].
 
 mod bodies;
@@ -106,7 +107,7 @@ pub enum NoParallax {
     Flat,
     /// Too few matches fit any motion of a camera.
     Inconsistent,
-    /// What is higher in the picture would be nearer.
+    /// What is higher in the picture would be nearer, with every focal length that was tried.
     Reversed,
 }
 
@@ -200,8 +201,8 @@ impl Sight<'_> {
     }
 
     /// The camera's motion along a track, and the median length of the parallax in pixels of a picture 512 pixels wide.
-    /// `part`: which part of the random stream is used. `shorter`: the motion along a shorter
-    /// track.
+    /// `part`: which part of the random stream is used. `shorter`: the motion along a shorter track, whose focal length
+    /// is tried first.
     fn camera(
         &self,
         track: &Track,
@@ -219,9 +220,8 @@ impl Sight<'_> {
             return Err(NoParallax::Flat);
         }
         let usual = shorter.map_or(1.0, |motion| motion.focal / FOCAL);
-        let first = self.motion(&matches, flat, usual, |matches, fits| {
-            ransac::motion(matches, fits, stream, part, shorter)
-        });
+        let first =
+            self.motion(&matches, flat, usual, |matches, fits| ransac::motion(matches, fits, stream, part, shorter));
         let (most, reason) = match first {
             Ok(seen) if seen.upright >= -lens::DOUBT => return Ok((seen.motion, seen.parallax)),
             Ok(seen) => (lens::NEARLY * seen.cost, NoParallax::Reversed),

@@ -58,7 +58,11 @@ fn flow(scene: Scene, motion: Motion, length: f64) -> [Field; 2] {
 
 fn motion(turn: [f64; 3], translation: [f64; 3]) -> Motion {
     let translation = DVec3::from_array(translation);
-    Motion { rotation: epipolar::turn(DVec3::from_array(turn)), translation: translation.normalize_or(DVec3::X), focal: FOCAL }
+    Motion {
+        rotation: epipolar::turn(DVec3::from_array(turn)),
+        translation: translation.normalize_or(DVec3::X),
+        focal: FOCAL,
+    }
 }
 
 fn found(scene: Scene, motion: Motion, length: f64, before: Option<&Found>) -> Option<Found> {

@@ -54,7 +54,11 @@ pub(super) fn cells(sight: &Sight<'_>, track: &Track, motion: &Motion, unit: Opt
         .map(|cell| {
             let at = sight.middle(cell);
             let [u, v] = [track.u[cell], track.v[cell]];
-            let m = Match { one: sight.direction(at, focal), other: sight.direction([at[0] + u, at[1] + v], focal), weight: 1.0 };
+            let m = Match {
+                one: sight.direction(at, focal),
+                other: sight.direction([at[0] + u, at[1] + v], focal),
+                weight: 1.0,
+            };
             let (inverse, length, beside) = inverse_depth(motion, m.one, m.other);
             let pixel = sight.pixel(cell);
             let (astray, texture) = (f64::from(track.astray[cell]) / sight.unit, f64::from(sight.texture[pixel]));

@@ -1,11 +1,11 @@
 //! `depth --order`: which of two places is nearer, in clips without a sensor, compared with a person's answers.
 //!
-//! Each answer names a place and one that is farther away, in a key frame. Found depth that makes the first nearer by at
-//! least [`CLEARLY`] is right, one that makes it farther by as much is wrong; anything else, and a frame without depth,
-//! leaves it open.
+//! Each answer names a place and one that is farther away, in a key frame. Found depth is right if it makes the first
+//! nearer by at least [`CLEARLY`], and wrong if it makes it farther by as much. Otherwise, and without depth, it is
+//! open.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
@@ -45,7 +45,7 @@ impl Answers {
     }
 
     /// Compares the clips of these names in `folders`. The last row is their sum.
-    pub(super) fn compare(&self, settings: &Settings, folders: &[std::path::PathBuf], gap: usize) -> Result<Vec<Row>> {
+    pub(super) fn compare(&self, settings: &Settings, folders: &[PathBuf], gap: usize) -> Result<Vec<Row>> {
         ensure!(self.frame.is_multiple_of(gap), "expected a gap that divides frame {}, found {gap}", self.frame);
         let mut rows = Vec::new();
         for (clip, pairs) in &self.clips {
