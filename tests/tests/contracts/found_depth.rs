@@ -32,7 +32,7 @@ fn moving() -> Vec<Frame> {
 /// The frames of [`moving`], `factor` times larger.
 fn moving_at(factor: usize) -> Vec<Frame> {
     let [height, width] = SIZE.map(|side| factor * side);
-    let scene = Cards::new(12, width, height, TRAVEL * factor as f64);
+    let scene = Cards::new(9, width, height, TRAVEL * factor as f64);
     let rgb = |time| scene.straight(time).rgb;
     [0.0, 0.5, 1.0].into_iter().map(|time| Frame { width, height, rgb: rgb(time), depth: None }).collect()
 }
