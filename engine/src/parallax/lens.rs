@@ -6,7 +6,7 @@
 //! alone cannot tell the two apart: with a longer focal length the reversed scene fits about as well (the bas-relief
 //! ambiguity; Szeliski & Kang, *Shape ambiguities in structure from motion*, 1997).
 //!
-//! The ground can: in nearly all pictures what is lower is nearer. [`upright`] is the rank correlation of a match's
+//! The ground can: in most pictures what is lower is nearer. [`upright`] is the rank correlation of a match's
 //! inverse depth with its row. If it is less than −[`DOUBT`], or the assumed focal length fits no motion (it puts many
 //! matches behind the camera), longer ones are tried. The one of least cost that puts the scene upright (more than
 //! [`DOUBT`]), and fits nearly as well, is used. If none does, there is no depth

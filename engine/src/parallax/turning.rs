@@ -1,8 +1,7 @@
 //! Cameras that only turn.
 
-use glam::DVec3;
-
 use super::epipolar::rotation;
+use super::lens::through;
 use super::matches::Match;
 
 /// Focal lengths that are tried, relative to the assumed one: from wide angle to short telephoto.
@@ -15,9 +14,7 @@ pub(super) fn share(matches: &[Match], fits: f64) -> f64 {
 }
 
 fn share_at(focal: f64, matches: &[Match], fits: f64) -> f64 {
-    let at = |d: DVec3| DVec3::new(d.x / focal, d.y / focal, 1.0);
-    let matches: Vec<Match> =
-        matches.iter().map(|m| Match { one: at(m.one), other: at(m.other), weight: m.weight }).collect();
+    let matches = through(focal, matches);
     let fits = fits / focal;
     let Some(turn) = rotation(&matches, fits) else { return 0.0 };
     let (mut all, mut fit) = (0.0, 0.0);
