@@ -253,8 +253,31 @@ fn times(between: &[Seen]) -> Vec<f32> {
     [0.0].into_iter().chain(between.iter().map(|seen| seen.t)).chain([1.0]).collect()
 }
 
-/// Every `every`-th frame in between as a target of the colour fit, from the middle of the first `every` on.
+/// The first index of every `every`-th frame of `count`: in the middle of the first `every`.
+fn first(count: usize, every: usize) -> usize {
+    (every / 2).min(count.saturating_sub(1) / 2)
+}
+
+/// Every second one of an interval's frames in between.
+pub(super) fn every_second<T>(between: Vec<T>) -> Vec<T> {
+    let first = first(between.len(), 2);
+    between.into_iter().skip(first).step_by(2).collect()
+}
+
+/// Every `every`-th frame in between as a target of the colour fit.
 pub(super) fn targets(between: &[Seen], every: usize) -> Vec<Target<'_>> {
-    let first = (every / 2).min(between.len().saturating_sub(1) / 2);
+    let first = first(between.len(), every);
     between.iter().skip(first).step_by(every).map(|seen| Target { t: seen.t, rgb: &seen.rgb }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::every_second;
+
+    #[test]
+    fn every_second_frame_is_from_the_middle_and_one_stays_one() {
+        let of = |count: usize| every_second((1..=count).collect());
+        assert_eq!([of(0), of(1), of(2)], [vec![], vec![1], vec![1]]);
+        assert_eq!([of(3), of(4), of(7)], [vec![2], vec![2, 4], vec![2, 4, 6]]);
+    }
 }

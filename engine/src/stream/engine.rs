@@ -10,10 +10,10 @@ use streamsplat_kernels::philox::Stream;
 use streamsplat_model::LoadOptions;
 use streamsplat_model::reuse::{Saving, Tokens};
 
-use super::between::{Flows, Seen, targets};
+use super::between::{Flows, Seen, every_second, targets};
 use super::canonical::{Advance, CanonicalSet, Step};
 use super::colours::{Fitter, Rates, Target};
-use super::keep::{Blocks, Change, Keeps, Kept, Lattice};
+use super::keep::{Blocks, Camera, Change, Keeps, Kept, Lattice};
 use super::keyframe::{AlignedMap, Context, KeyView};
 use super::lift::{Alignment, DepthMap, Memory, Past, align, contradiction};
 use super::motion::{completed, fixed};
@@ -187,7 +187,16 @@ impl Engine {
         let (mut view, lost) = context.fitted(frame, placement);
         let mut seen = self.seen(between, timestamp, placement);
         let level = self.workers.level();
-        let mut keeping = self.keep(&mut view, &mut seen);
+        let camera = self.camera(&mut view, &mut seen);
+        let every = self.settings.refine_every() as usize;
+        let (mut keeping, every) = match camera {
+            None => (None, every),
+            // A static camera's frames are alike.
+            Some(keeping) => {
+                seen = every_second(seen);
+                (keeping, (every / 2).max(1))
+            }
+        };
         let mut flows = match &keeping {
             Some(Keeping { kept, .. }) => self.flows_within(kept, &view, &seen, index)?,
             None => self.flows(&mut view, &mut seen, index)?,
@@ -294,7 +303,7 @@ impl Engine {
                 let steps = settings.refine();
                 if let Some(flows) = flows.filter(|_| steps > 0) {
                     let predicted = work.time(Stage::Flow, || flows.predicted(level, views));
-                    let mut targets = targets(&seen, settings.refine_every() as usize);
+                    let mut targets = targets(&seen, every);
                     targets.extend(predicted.iter().map(|(t, rgb)| Target { t: *t, rgb }));
                     let changing = keeping.as_ref().is_none_or(|keeping| keeping.kept.changing().is_some());
                     let (rates, taken) = work.time(Stage::Colours, || {
@@ -334,9 +343,9 @@ impl Engine {
         between.into_iter().map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement)).collect()
     }
 
-    /// The part of the picture that the interval keeps from the key frame before. Kept blocks of `view` and `seen` are
-    /// replaced by their mean.
-    fn keep(&self, view: &mut KeyView, seen: &mut [Seen]) -> Option<Keeping> {
+    /// What the interval keeps from the key frame before, if that is enough; `None` where the camera moves or static
+    /// regions are not looked for. Kept blocks of `view` and `seen` are replaced by their mean.
+    fn camera(&self, view: &mut KeyView, seen: &mut [Seen]) -> Option<Option<Keeping>> {
         let Self { settings, state, .. } = self;
         let before = &state.as_ref()?.view;
         let wanted = settings.still() == StaticRegions::Keep
@@ -351,14 +360,21 @@ impl Engine {
         let cells = Lattice::of(before.layers().cells, view.resolution())?;
         let blocks = Blocks::of(view.resolution())?;
         let taken = match settings.find_depth() {
-            true => seen.iter().map(|seen| &seen.rgb).chain([&view.rgb]).cloned().collect(),
+            true => {
+                let between = every_second(seen.iter().collect());
+                between.into_iter().map(|seen| &seen.rgb).chain([&view.rgb]).cloned().collect()
+            }
             false => Vec::new(),
         };
         let mut frames: Vec<(f32, &mut Vec<f32>)> = seen.iter_mut().map(|seen| (seen.t, &mut seen.rgb)).collect();
         frames.push((1.0, &mut view.rgb));
-        let kept = Kept::of(blocks, &before.rgb, before.past.as_ref(), &mut frames)?;
-        let keeps = kept.of_cells(&cells, &before.added.moving);
-        Some(Keeping { kept, keeps, taken })
+        let Camera::Static(kept) = Kept::of(blocks, &before.rgb, before.past.as_ref(), &mut frames) else {
+            return None;
+        };
+        Some(kept.map(|kept| {
+            let keeps = kept.of_cells(&cells, &before.added.moving);
+            Keeping { kept, keeps, taken }
+        }))
     }
 
     /// Flow through the interval; none where motion is the network's.
@@ -564,7 +580,7 @@ struct Keeping {
     kept: Kept,
     /// What happens to each Gaussian of the key frame before.
     keeps: Keeps,
-    /// The frames as they came, those in between first: restored if depth is found after all.
+    /// The frames that are used, as they came, those in between first: restored if depth is found after all.
     taken: Vec<Vec<f32>>,
 }
 

@@ -77,6 +77,7 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
         from = part.end;
     }
     let mut seen = Snapshot::with_capacity(end - start);
+    let sound = all_sound(gaussians, start..end);
     for (i, opacity) in (start..end).zip(opacity) {
         // Only the drawn fields of a record are read.
         let record = Record {
@@ -93,7 +94,7 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
             handover: gaussians.handover[i],
             ..Record::default()
         };
-        if !record.is_sound() {
+        if !sound && !record.is_sound() {
             seen.dropped += 1;
             continue;
         }
@@ -109,4 +110,70 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
         seen.rgb.push(record.rgb_at(t));
     }
     seen
+}
+
+/// Returns true if all these records are [sound](Record::is_sound) and their numbers are below 2¹²⁶, so that no sum of
+/// two of them is infinite. A chunk for which this is false is tested record by record.
+fn all_sound(gaussians: &DynamicGaussians, chunk: std::ops::Range<usize>) -> bool {
+    const SIGN: u32 = 1 << 31;
+    /// 2¹²⁶
+    const LARGE: u32 = 253 << 23;
+    // Subtraction sets the sign bit where the magnitude is smaller.
+    let small = |numbers: &[f32]| {
+        numbers.iter().fold(SIGN, |all, x| all & ((x.to_bits() & !SIGN).wrapping_sub(LARGE))) & SIGN != 0
+    };
+    // -0 counts as negative here.
+    let positive = |numbers: &[f32]| numbers.iter().fold(0, |any, x| any | x.to_bits()) & SIGN == 0;
+    let DynamicGaussians {
+        mean,
+        velocity,
+        offset,
+        scale,
+        thickness,
+        opacity,
+        gamma,
+        rgb,
+        rgb_rate,
+        identity: _,
+        birth: _,
+        frame: _,
+        reference: _,
+        handover: _,
+    } = gaussians;
+    let signed = [mean, velocity, offset, rgb, rgb_rate];
+    let unsigned = [scale[chunk.clone()].as_flattened(), gamma[chunk.clone()].as_flattened()];
+    let single = [&thickness[chunk.clone()], &opacity[chunk.clone()]];
+    signed.iter().all(|numbers| small(numbers[chunk.clone()].as_flattened()))
+        && unsigned.iter().chain(&single).all(|numbers| small(numbers) && positive(numbers))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn records_that_are_tested_together_are_left_out_as_one_by_one() {
+        let good = Record { opacity: 0.5, scale: [0.1; 2], mean: [0.0, 0.5, 0.0], ..Record::default() };
+        let bad = [
+            Record { mean: [0.0, f32::NAN, 0.0], ..good },
+            Record { velocity: [f32::INFINITY, 0.0, 0.0], ..good },
+            Record { offset: [0.0, 0.0, f32::NEG_INFINITY], ..good },
+            Record { scale: [0.1, -0.1], ..good },
+            Record { thickness: f32::NAN, ..good },
+            Record { opacity: -0.5, ..good },
+            Record { gamma: [-1.0, 0.0], ..good },
+            Record { rgb: [f32::MAX; 3], rgb_rate: [f32::MAX; 3], ..good },
+            Record { rgb_rate: [0.0, f32::NAN, 0.0], ..good },
+            // Sound, with numbers for which chunks are tested one by one.
+            Record { rgb: [2e38, 0.5, 0.5], gamma: [-0.0, 0.0], ..good },
+        ];
+        for odd in [good].iter().chain(&bad) {
+            let all: DynamicGaussians = [good, *odd, good].into_iter().collect();
+            assert!(all_sound(&all, 0..1));
+            assert_eq!(all_sound(&all, 0..3), *odd == good, "{odd:?}");
+            let seen = Snapshot::new(Level::scalar(), &all, 0.5);
+            assert_eq!(seen.dropped, u64::from(!odd.is_sound()), "{odd:?}");
+            assert_eq!(seen.index.len(), 2 + usize::from(odd.is_sound()), "{odd:?}");
+        }
+    }
 }

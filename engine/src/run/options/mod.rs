@@ -234,7 +234,8 @@ options! {
         #[serde(default, with = "text")]
         pub sampling: Option<SamplingMode>,
         /// Static regions of the picture: keep (their Gaussians are kept while frames differ by no more than the
-        /// camera's noise; where no depth lifts the frames) or off (they are computed for each key frame)
+        /// camera's noise, and a static camera's motion and colours come from every second frame in between; where no
+        /// depth lifts the frames) or off (every frame counts, and every region is computed for each key frame)
         #[cfg_attr(feature = "clap", arg(long, value_name = "keep|off"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub still: Option<StaticRegions>,
