@@ -258,8 +258,14 @@ fn first(count: usize, every: usize) -> usize {
     (every / 2).min(count.saturating_sub(1) / 2)
 }
 
-/// Every second one of an interval's frames in between.
+/// Fewer frames in between than this are all used: intervals are short where much moves.
+const MANY: usize = 4;
+
+/// Every second one of an interval's frames in between, where there are [`MANY`].
 pub(super) fn every_second<T>(between: Vec<T>) -> Vec<T> {
+    if between.len() < MANY {
+        return between;
+    }
     let first = first(between.len(), 2);
     between.into_iter().skip(first).step_by(2).collect()
 }
@@ -275,9 +281,9 @@ mod tests {
     use super::every_second;
 
     #[test]
-    fn every_second_frame_is_from_the_middle_and_one_stays_one() {
+    fn every_second_frame_is_used_of_many() {
         let of = |count: usize| every_second((1..=count).collect());
-        assert_eq!([of(0), of(1), of(2)], [vec![], vec![1], vec![1]]);
-        assert_eq!([of(3), of(4), of(7)], [vec![2], vec![2, 4], vec![2, 4, 6]]);
+        assert_eq!([of(0), of(1), of(3)], [vec![], vec![1], vec![1, 2, 3]]);
+        assert_eq!([of(4), of(5), of(7)], [vec![2, 4], vec![2, 4], vec![2, 4, 6]]);
     }
 }

@@ -193,8 +193,9 @@ impl Engine {
             None => (None, every),
             // A static camera's frames are alike.
             Some(keeping) => {
+                let all = seen.len();
                 seen = every_second(seen);
-                (keeping, (every / 2).max(1))
+                (keeping, if seen.len() < all { (every / 2).max(1) } else { every })
             }
         };
         let mut flows = match &keeping {
