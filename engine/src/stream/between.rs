@@ -33,7 +33,7 @@ pub(super) struct Seen {
     /// Its time in the interval.
     pub(super) t: f32,
     /// `[3, H, W]`
-    pub(super) rgb: Vec<f32>,
+    pub(super) rgb: Arc<Vec<f32>>,
     flow: Option<FlowView>,
 }
 
@@ -67,7 +67,12 @@ impl Seen {
             frame.rgb.iter_mut().for_each(|x| *x = x.clamp(0.0, 1.0));
             placement.fit_in(level, &frame.rgb)
         });
-        Self { t, rgb, flow: None }
+        Self { t, rgb: Arc::new(rgb), flow: None }
+    }
+
+    /// The frame before it is prepared for flow.
+    pub(super) fn unprepared(&self) -> Self {
+        Self { t: self.t, rgb: self.rgb.clone(), flow: None }
     }
 
     /// Prepares the frame for flow, as one of the interval that ends with key frame `index`.
@@ -105,11 +110,11 @@ impl Flows {
         effort: FlowEffort,
     ) -> Option<Self> {
         let (first, last) = (a.flow.as_ref()?, b.flow.as_ref()?);
-        let mut frames = vec![(first, &a.rgb)];
+        let mut frames = vec![(first, &a.rgb[..])];
         for seen in between {
-            frames.push((seen.flow.as_ref()?, &seen.rgb));
+            frames.push((seen.flow.as_ref()?, &seen.rgb[..]));
         }
-        frames.push((last, &b.rgb));
+        frames.push((last, &b.rgb[..]));
         let steps = frames
             .windows(2)
             .map(|pair| {
@@ -145,7 +150,7 @@ impl Flows {
             return Ok(Self { steps: times.windows(2).map(|_| still()).collect(), times });
         };
         let part = [0, 1].map(|axis| rectangle[axis].len());
-        let frames = [&a.rgb].into_iter().chain(between.iter().map(|seen| &seen.rgb)).chain([&b.rgb]);
+        let frames = [&a.rgb[..]].into_iter().chain(between.iter().map(|seen| &seen.rgb[..])).chain([&b.rgb[..]]);
         let views = work.time(Stage::Flow, || {
             frames
                 .map(|rgb| FlowView::new(level, &cut(rgb, size, rectangle), part, index, effort))
@@ -261,13 +266,10 @@ fn first(count: usize, every: usize) -> usize {
 /// Fewer frames in between than this are all used: intervals are short where much moves.
 const MANY: usize = 4;
 
-/// Every second one of an interval's frames in between, where there are [`MANY`].
-pub(super) fn every_second<T>(between: Vec<T>) -> Vec<T> {
-    if between.len() < MANY {
-        return between;
-    }
-    let first = first(between.len(), 2);
-    between.into_iter().skip(first).step_by(2).collect()
+/// Every second one of an interval's frames in between, where there are [`MANY`], not prepared for flow.
+pub(super) fn every_second(between: &[Seen]) -> Vec<Seen> {
+    let (first, step) = if between.len() < MANY { (0, 1) } else { (first(between.len(), 2), 2) };
+    between.iter().skip(first).step_by(step).map(Seen::unprepared).collect()
 }
 
 /// Every `every`-th frame in between as a target of the colour fit.
@@ -278,11 +280,16 @@ pub(super) fn targets(between: &[Seen], every: usize) -> Vec<Target<'_>> {
 
 #[cfg(test)]
 mod tests {
-    use super::every_second;
+    use std::sync::Arc;
+
+    use super::{Seen, every_second};
 
     #[test]
     fn every_second_frame_is_used_of_many() {
-        let of = |count: usize| every_second((1..=count).collect());
+        let of = |count: usize| -> Vec<usize> {
+            let seen = |t| Seen { t: t as f32, rgb: Arc::default(), flow: None };
+            every_second(&(1..=count).map(seen).collect::<Vec<_>>()).iter().map(|seen| seen.t as usize).collect()
+        };
         assert_eq!([of(0), of(1), of(3)], [vec![], vec![1], vec![1, 2, 3]]);
         assert_eq!([of(4), of(5), of(7)], [vec![2, 4], vec![2, 4], vec![2, 4, 6]]);
     }

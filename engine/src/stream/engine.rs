@@ -187,46 +187,42 @@ impl Engine {
         let (mut view, lost) = context.fitted(frame, placement);
         let mut seen = self.seen(between, timestamp, placement);
         let level = self.workers.level();
-        let camera = self.camera(&mut view, &mut seen);
-        let every = self.settings.refine_every() as usize;
-        let (mut keeping, every) = match camera {
-            None => (None, every),
-            // A static camera's frames are alike.
-            Some(keeping) => {
-                let all = seen.len();
-                seen = every_second(seen);
-                (keeping, if seen.len() < all { (every / 2).max(1) } else { every })
-            }
-        };
+        let all = seen.len();
+        let (mut keeping, taken) = self.still(&mut view, &mut seen);
         let mut flows = match &keeping {
             Some(Keeping { kept, .. }) => self.flows_within(kept, &view, &seen, index)?,
             None => self.flows(&mut view, &mut seen, index)?,
         };
-        let mut depths = Depths::default();
-        if keeping.is_none() {
-            // The network does not depend on the depth.
-            let search = self.search(tiles, &mut view, flows.as_ref(), index)?;
-            depths = self.reconstruct_and_find(tiles, &mut view, search, index)?;
-        } else {
-            if keeping.as_ref().is_some_and(|keeping| !keeping.kept.mostly()) {
+        let computed = keeping.is_none();
+        let depths = match &keeping {
+            Some(Keeping { kept, .. }) if kept.mostly() => Depths::default(),
+            Some(_) => {
                 let search = self.search(tiles, &mut view, flows.as_ref(), index)?;
                 let found = found(&self.settings, level, self.state.as_ref(), search, &view.rgb, index);
-                depths = found.counted(&mut self.work);
+                found.counted(&mut self.work)
             }
-            if depths.found.is_some()
-                && let Some(Keeping { taken, .. }) = keeping.take()
-            {
-                // Lifted Gaussians are not kept: restore all frames as they came.
-                let places = seen.iter_mut().map(|seen| &mut seen.rgb).chain([&mut view.rgb]);
-                places.zip(taken).for_each(|(rgb, taken)| *rgb = taken);
-                view.flow = None;
-                flows = self.flows(&mut view, &mut seen, index)?;
+            // The network does not depend on the depth.
+            None => {
+                let search = self.search(tiles, &mut view, flows.as_ref(), index)?;
+                self.reconstruct_and_find(tiles, &mut view, search, index)?
             }
+        };
+        if depths.found.is_some()
+            && let Some(Taken { rgb, between }) = taken
+        {
+            // The camera moves after all: lifted Gaussians are not kept, and all frames are used as they came.
+            keeping = None;
+            (view.rgb, view.flow, seen) = (rgb, None, between);
+            flows = self.flows(&mut view, &mut seen, index)?;
+        }
+        if !computed {
             let keeps = keeping.as_ref().map(|keeping| &keeping.keeps);
             let Self { settings, workers, work, fitter, state, .. } = self;
             Context::new(settings, workers, work, fitter, tiles, state.as_ref())
                 .reconstruct(&mut view, keeps, index)?;
         }
+        let every = self.settings.refine_every() as usize;
+        let every = if seen.len() < all { (every / 2).max(1) } else { every };
         // All steps that can fail come before the state changes.
         let next_pair = match &self.state {
             Some(state) if self.settings.deforms() => {
@@ -344,9 +340,34 @@ impl Engine {
         between.into_iter().map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement)).collect()
     }
 
-    /// What the interval keeps from the key frame before, if that is enough; `None` where the camera moves or static
-    /// regions are not looked for. Kept blocks of `view` and `seen` are replaced by their mean.
-    fn camera(&self, view: &mut KeyView, seen: &mut [Seen]) -> Option<Option<Keeping>> {
+    /// What the interval keeps from the key frame before, if that is enough. Where the camera is static, `seen` is then
+    /// every second frame of many, and kept blocks of `view` and `seen` are replaced by their mean. The frames as they
+    /// came are returned where one is changed or left out and depth is searched.
+    fn still(&self, view: &mut KeyView, seen: &mut Vec<Seen>) -> (Option<Keeping>, Option<Taken>) {
+        let nothing = (None, None);
+        let Some(before) = self.state.as_ref().map(|state| &state.view) else { return nothing };
+        let Some(Camera::Static(kept)) = self.camera(view, seen) else { return nothing };
+        let cells = Lattice::of(before.layers().cells, view.resolution());
+        let keeping = kept.zip(cells).map(|(kept, cells)| {
+            let keeps = kept.of_cells(&cells, &before.added.moving);
+            Keeping { kept, keeps }
+        });
+        let used = every_second(seen);
+        let replaced = keeping.is_some() || used.len() < seen.len();
+        let searched = self.settings.find_depth() && keeping.as_ref().is_none_or(|keeping| !keeping.kept.mostly());
+        let between = std::mem::replace(seen, used);
+        let taken = (replaced && searched).then(|| Taken { rgb: view.rgb.clone(), between });
+        if let Some(Keeping { kept, .. }) = &keeping {
+            for Seen { t, rgb, .. } in seen {
+                kept.show(&before.rgb, *t, Arc::<Vec<f32>>::make_mut(rgb));
+            }
+            kept.show(&before.rgb, 1.0, &mut view.rgb);
+        }
+        (keeping, taken)
+    }
+
+    /// The camera over the interval; `None` where static regions are not looked for.
+    fn camera(&self, view: &KeyView, seen: &[Seen]) -> Option<Camera> {
         let Self { settings, state, .. } = self;
         let before = &state.as_ref()?.view;
         let wanted = settings.still() == StaticRegions::Keep
@@ -358,24 +379,11 @@ impl Engine {
         if !wanted || view.has_depth() || before.map.is_some() {
             return None;
         }
-        let cells = Lattice::of(before.layers().cells, view.resolution())?;
+        Lattice::of(before.layers().cells, view.resolution())?;
         let blocks = Blocks::of(view.resolution())?;
-        let taken = match settings.find_depth() {
-            true => {
-                let between = every_second(seen.iter().collect());
-                between.into_iter().map(|seen| &seen.rgb).chain([&view.rgb]).cloned().collect()
-            }
-            false => Vec::new(),
-        };
-        let mut frames: Vec<(f32, &mut Vec<f32>)> = seen.iter_mut().map(|seen| (seen.t, &mut seen.rgb)).collect();
-        frames.push((1.0, &mut view.rgb));
-        let Camera::Static(kept) = Kept::of(blocks, &before.rgb, before.past.as_ref(), &mut frames) else {
-            return None;
-        };
-        Some(kept.map(|kept| {
-            let keeps = kept.of_cells(&cells, &before.added.moving);
-            Keeping { kept, keeps, taken }
-        }))
+        let frames: Vec<(f32, &[f32])> =
+            seen.iter().map(|seen| (seen.t, &seen.rgb[..])).chain([(1.0, &view.rgb[..])]).collect();
+        Some(Camera::over(blocks, &before.rgb, before.past.as_ref(), &frames))
     }
 
     /// Flow through the interval; none where motion is the network's.
@@ -581,8 +589,13 @@ struct Keeping {
     kept: Kept,
     /// What happens to each Gaussian of the key frame before.
     keeps: Keeps,
-    /// The frames that are used, as they came, those in between first: restored if depth is found after all.
-    taken: Vec<Vec<f32>>,
+}
+
+/// An interval's frames as they came.
+struct Taken {
+    /// The key frame at its end.
+    rgb: Vec<f32>,
+    between: Vec<Seen>,
 }
 
 /// What a key frame's depth is found from.

@@ -1,7 +1,7 @@
 //! The Gaussians of an interval at one time.
 
 use streamsplat_kernels::Level;
-use streamsplat_kernels::parallel::map_indexed;
+use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
 use streamsplat_kernels::raster::ALPHA_MIN;
 use streamsplat_model::motion;
 
@@ -38,33 +38,56 @@ impl Snapshot {
     /// # Panics
     /// When the arrays differ in length ([`DynamicGaussians::uneven`]).
     pub fn new(level: Level, gaussians: &DynamicGaussians, t: f32) -> Self {
-        let parts = map_indexed(gaussians.len().div_ceil(CHUNK), |chunk| seen(level, gaussians, t, chunk));
-        let mut out = Self::with_capacity(parts.iter().map(|part| part.index.len()).sum());
-        for part in parts {
-            out.index.extend_from_slice(&part.index);
-            out.mean.extend_from_slice(&part.mean);
-            out.scale.extend_from_slice(&part.scale);
-            out.opacity.extend_from_slice(&part.opacity);
-            out.rgb.extend_from_slice(&part.rgb);
-            out.dropped += part.dropped;
+        let seen = map_indexed(gaussians.len().div_ceil(CHUNK), |chunk| seen(level, gaussians, t, chunk));
+        let count = seen.iter().map(|seen| seen.index.len()).sum();
+        let mut out = Self {
+            index: vec![0; count],
+            mean: vec![[0.0; 3]; count],
+            scale: vec![[0.0; 3]; count],
+            opacity: vec![0.0; count],
+            rgb: vec![[0.0; 3]; count],
+            dropped: seen.iter().map(|seen| seen.dropped).sum(),
+        };
+        let (mut index, mut mean, mut scale) = (&mut out.index[..], &mut out.mean[..], &mut out.scale[..]);
+        let (mut opacity, mut rgb) = (&mut out.opacity[..], &mut out.rgb[..]);
+        let mut parts = Vec::with_capacity(seen.len());
+        for seen in &seen {
+            let len = seen.index.len();
+            parts.push((
+                seen,
+                index.split_off_mut(..len).unwrap_or_default(),
+                mean.split_off_mut(..len).unwrap_or_default(),
+                scale.split_off_mut(..len).unwrap_or_default(),
+                opacity.split_off_mut(..len).unwrap_or_default(),
+                rgb.split_off_mut(..len).unwrap_or_default(),
+            ));
         }
+        for_each_chunk(&mut parts, 1, |_, part| {
+            for (seen, index, mean, scale, opacity, rgb) in part {
+                index.copy_from_slice(&seen.index);
+                mean.copy_from_slice(&seen.mean);
+                opacity.copy_from_slice(&seen.opacity);
+                for (to, i) in seen.index.iter().enumerate() {
+                    let record = drawn(gaussians, *i as usize);
+                    scale[to] = record.deviations();
+                    rgb[to] = record.rgb_at(t);
+                }
+            }
+        });
         out
-    }
-
-    fn with_capacity(count: usize) -> Self {
-        Self {
-            index: Vec::with_capacity(count),
-            mean: Vec::with_capacity(count),
-            scale: Vec::with_capacity(count),
-            opacity: Vec::with_capacity(count),
-            rgb: Vec::with_capacity(count),
-            dropped: 0,
-        }
     }
 }
 
+/// The Gaussians of a chunk that can be seen: members as of [`Snapshot`].
+struct Seen {
+    index: Vec<u32>,
+    mean: Vec<[f32; 3]>,
+    opacity: Vec<f32>,
+    dropped: u64,
+}
+
 /// Visible Gaussians of one chunk, in order.
-fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Snapshot {
+fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Seen {
     let start = chunk * CHUNK;
     let end = gaussians.len().min(start + CHUNK);
     let mut opacity = vec![0.0; end - start];
@@ -76,24 +99,12 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
         motion::opacity_at(level, &gaussians.opacity[part.clone()], &gaussians.gamma[part.clone()], tau, out);
         from = part.end;
     }
-    let mut seen = Snapshot::with_capacity(end - start);
+    let count = end - start;
+    let (index, mean) = (Vec::with_capacity(count), Vec::with_capacity(count));
+    let mut seen = Seen { index, mean, opacity: Vec::with_capacity(count), dropped: 0 };
     let sound = all_sound(gaussians, start..end);
     for (i, opacity) in (start..end).zip(opacity) {
-        // Only the drawn fields of a record are read.
-        let record = Record {
-            mean: gaussians.mean[i],
-            velocity: gaussians.velocity[i],
-            gamma: gaussians.gamma[i],
-            opacity: gaussians.opacity[i],
-            scale: gaussians.scale[i],
-            thickness: gaussians.thickness[i],
-            rgb: gaussians.rgb[i],
-            rgb_rate: gaussians.rgb_rate[i],
-            offset: gaussians.offset[i],
-            reference: gaussians.reference[i],
-            handover: gaussians.handover[i],
-            ..Record::default()
-        };
+        let record = drawn(gaussians, i);
         if !sound && !record.is_sound() {
             seen.dropped += 1;
             continue;
@@ -105,11 +116,28 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Sna
         let Some(mean) = to_scene(record.position_at(t)) else { continue };
         seen.index.push(i as u32);
         seen.mean.push(mean);
-        seen.scale.push(record.deviations());
         seen.opacity.push(opacity);
-        seen.rgb.push(record.rgb_at(t));
     }
     seen
+}
+
+/// Record `i` with the fields that are drawn; the others have their defaults.
+#[inline]
+fn drawn(gaussians: &DynamicGaussians, i: usize) -> Record {
+    Record {
+        mean: gaussians.mean[i],
+        velocity: gaussians.velocity[i],
+        gamma: gaussians.gamma[i],
+        opacity: gaussians.opacity[i],
+        scale: gaussians.scale[i],
+        thickness: gaussians.thickness[i],
+        rgb: gaussians.rgb[i],
+        rgb_rate: gaussians.rgb_rate[i],
+        offset: gaussians.offset[i],
+        reference: gaussians.reference[i],
+        handover: gaussians.handover[i],
+        ..Record::default()
+    }
 }
 
 /// Returns true if all these records are [sound](Record::is_sound) and their numbers are below 2¹²⁶, so that no sum of
