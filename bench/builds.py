@@ -7,8 +7,10 @@ to PNG files), and the digest of the video. It ends with the median of these rat
 """
 
 import argparse
+import concurrent.futures
 import hashlib
 import json
+import multiprocessing
 import os
 import statistics
 import subprocess
@@ -34,8 +36,9 @@ def run(program, clip, video, quality):
     return {'wall': wall, 'cpu': used.ru_utime + used.ru_stime, 'memory': used.ru_maxrss / 1024}, digest
 
 
-def psnr(program, clip, quality, truth):
+def psnr(program, clip, quality):
     """Mean over frames of the PSNR of the images that `program` draws."""
+    truth = frames(clip)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder, 'out')
         subprocess.run([program, 'run', clip, '--quality', quality, '--emit', 'rgb', '--size', 'source', '--out', out, '--quiet'], check=True)
@@ -60,7 +63,6 @@ def main():
     rows, first = [], options.programs[0]
     for clip in clips:
         taken, digests = {program: [] for program in options.programs}, {}
-        truth = frames(clip)
         for number in range(options.rounds):
             for program in options.programs[:: -1 if number % 2 else 1]:
                 with tempfile.TemporaryDirectory() as folder:
@@ -72,7 +74,9 @@ def main():
             ratios = [a['wall'] / b['wall'] for a, b in zip(taken[first], taken[program])]
             row = {key: statistics.median(one[key] for one in taken[program]) for key in ('wall', 'cpu', 'memory')}
             row |= {'clip': clip.name, 'program': program, 'ratio': statistics.median(ratios), 'ratios': ratios, 'video': digests[program]}
-            row['psnr'] = psnr(program, clip, options.quality, truth)
+            # In a process of its own: a child's peak memory is at least what its parent has ever had.
+            with concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context('spawn')) as apart:
+                row['psnr'] = apart.submit(psnr, program, clip, options.quality).result()
             rows.append(row)
             spread = f'{min(ratios):.2f} to {max(ratios):.2f}'
             print(f'{clip.name:24} {row["wall"]:6.2f} s {row["cpu"]:6.2f} s {row["memory"]:5.0f} MiB {row["ratio"]:5.2f} ({spread}) '

@@ -4,15 +4,16 @@
 //! PSNR of earlier intervals. In dB, for an interval of n frames after its first key frame,
 //!
 //! ```text
-//! between  q = k − s·(0.86 + 0.41·max(k − p, 0))·ln(max(n, 2) / 1.85)        mean of its n − 1 frames in between
+//! between  q = k − s·(0.90 + 0.27·max(k − p, 0))·ln(max(n, 2) / 0.65)        mean of its n − 1 frames in between
 //! all      ((n − 1)·q + k) / n
 //! ```
 //!
 //! p: mean PSNR at which the frames in between are predicted from the key frames ([`super::predicted`]); k: PSNR of the
 //! latest measured key frame; s: a scale that starts at 1. After each interval s is multiplied by the 0.8th power of
 //! the ratio of measured to predicted `k − q`, within [1/4, 4]. Intervals of two frames or fewer, whose ratio carries
-//! little information, move s a tenth of the way towards 1 instead. The constants 0.86 and 0.41 are a least-squares fit
-//! to 748 intervals of 12 clips (n from 2 to 12, frames between given, 16 steps of colours).
+//! little information, move s a tenth of the way towards 1 instead. The constants are a least-squares fit to 635
+//! intervals of 14 clips of 512×288 (n from 3 to 10, frames in between given, `balanced`), with an error of 1.8 dB
+//! (`bench/gap.py`).
 //!
 //! A surplus or deficit of earlier intervals against the target PSNR is compensated over 16 frames, by 4 dB at most. An
 //! interval is at most three times as long as the latest one that did not end at a cut.
@@ -25,7 +26,7 @@ use streamsplat_kernels::math::f64::{exp, ln};
 use super::Auto;
 
 /// PSNR of key frames before any is measured, in dB.
-const FIRST_KEY: f64 = 42.0;
+const FIRST_KEY: f64 = 47.0;
 /// Frames over which a surplus is compensated.
 const HORIZON: f64 = 16.0;
 /// Largest compensation, in dB.
@@ -156,5 +157,5 @@ fn loss(frames: usize, predicted: f64, key: f64) -> f64 {
     if frames < 2 {
         return 0.0;
     }
-    (0.86 + 0.41 * (key - predicted).max(0.0)) * ln(frames as f64 / 1.85)
+    (0.90 + 0.27 * (key - predicted).max(0.0)) * ln(frames as f64 / 0.65)
 }

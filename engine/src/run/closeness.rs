@@ -4,7 +4,6 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use crate::gap::Found;
-use crate::metrics::psnr;
 use crate::picture::Picture;
 use crate::render::Backend;
 use crate::stream::{Interval, Workers};
@@ -15,21 +14,34 @@ use crate::run::drawing::Drawing;
 use crate::run::record::WorkRecord;
 use crate::run::views::Views;
 
-/// Side of the pictures that are compared.
-pub const SIDE: usize = 256;
-
-/// A frame in the form in which it is compared.
+/// A frame in the form in which it is compared: 8-bit samples, as images are written.
 #[derive(Clone, Debug)]
 pub struct Truth {
     /// Its time, in seconds.
     pub time: f64,
-    /// Of [`SIDE`] × [`SIDE`] pixels.
-    pub picture: Picture,
-    /// The frame's 8-bit samples, where images of its size are compared with it.
-    pub samples: Option<Vec<u8>>,
+    /// Width and height at which the model sees it, which is at most the frame's own size unless
+    /// [`Resolution`](crate::stream::Resolution) is set.
+    pub size: [usize; 2],
+    /// Samples at that size.
+    pub samples: Vec<u8>,
+    /// Samples at its own size, where that is another one and images of it are compared.
+    pub own: Option<Vec<u8>>,
 }
 
-/// PSNR of images of the source's own size, as they are written. Samples of 8 bits are compared.
+impl Truth {
+    /// A frame at `time`, compared at `size` (width and height), and at its own size if `own` is set.
+    pub fn new(picture: &Picture, time: f64, size: [usize; 2], own: bool) -> Truth {
+        let [width, height] = size;
+        if [picture.width, picture.height] == size {
+            return Truth { time, size, samples: picture.to_rgb8(), own: None };
+        }
+        let samples = picture.resized(width, height).to_rgb8();
+        Truth { time, size, samples, own: own.then(|| picture.to_rgb8()) }
+    }
+}
+
+/// PSNR of images of the source's own size, as they are written, where that is not the size at which the model sees
+/// it. Samples of 8 bits are compared.
 #[derive(Debug, Default)]
 pub struct Whole {
     /// Frames whose images are not drawn yet, by their numbers.
@@ -87,10 +99,13 @@ fn log10(x: f64) -> f64 {
     streamsplat_kernels::math::f64::ln(x) / std::f64::consts::LN_10
 }
 
-/// Draws intervals from the video's own camera, at the model's size, and compares them with their frames.
+/// Draws intervals from the video's own camera, at the size at which the model sees it, and compares them with their
+/// frames. Samples of 8 bits are compared.
 pub struct Closeness {
     drawing: Drawing,
     views: Views,
+    /// Width and height of the images, once one is compared.
+    size: Option<[usize; 2]>,
     /// Times and PSNR of images that were drawn for output with the same settings as here.
     drawn: Vec<(f64, f64)>,
     /// Sum over all frames of PSNR, in dB.
@@ -99,9 +114,13 @@ pub struct Closeness {
     time: Duration,
 }
 
-/// PSNR of an image and a frame, both of [`SIDE`] × [`SIDE`] pixels.
-fn compared(image: &Picture, truth: &Picture) -> Result<f64, Error> {
-    psnr(&image.resized(SIDE, SIDE), truth).map_err(Error::work)
+/// PSNR of an image and a frame.
+fn compared(image: &Picture, truth: &Truth) -> Result<f64, Error> {
+    let sizes = || {
+        let ([width, height], found) = (truth.size, [image.width, image.height]);
+        Error::work(format!("compared images: expected {width}x{height}, found {}x{}", found[0], found[1]))
+    };
+    psnr_of_samples(&image.to_rgb8(), &truth.samples).ok_or_else(sizes)
 }
 
 impl Closeness {
@@ -109,7 +128,8 @@ impl Closeness {
     /// contract.
     pub fn new(workers: &Workers) -> Result<Closeness, Error> {
         let drawing = Drawing::new(workers, Backend::Cpu)?;
-        Ok(Closeness { drawing, views: Views::own(), drawn: Vec::new(), sum: 0.0, frames: 0, time: Duration::ZERO })
+        let (views, drawn) = (Views::own(), Vec::new());
+        Ok(Closeness { drawing, views, size: None, drawn, sum: 0.0, frames: 0, time: Duration::ZERO })
     }
 
     /// Compares an image of `views` with its frame among `truths`, if [`Closeness::of`] would draw the same image.
@@ -127,9 +147,9 @@ impl Closeness {
             && views.options.background == self.views.options.background
             && [image.width, image.height] == [width, height];
         let truth = truths.iter().find(|truth| same && truth.time.to_bits() == time.to_bits());
-        if let Some(Truth { picture, .. }) = truth {
+        if let Some(truth) = truth {
             let start = Instant::now();
-            self.drawn.push((time, compared(image, picture)?));
+            self.drawn.push((time, compared(image, truth)?));
             self.time += start.elapsed();
         }
         Ok(())
@@ -139,17 +159,18 @@ impl Closeness {
     pub fn of(&mut self, interval: &Interval, truths: &[Truth]) -> Result<Option<Found>, Error> {
         let start = Instant::now();
         let mut ratios = Vec::with_capacity(truths.len());
-        for Truth { time, picture, .. } in truths {
-            let drawn = self.drawn.iter().find(|(of, _)| of.to_bits() == time.to_bits());
+        for truth in truths {
+            let drawn = self.drawn.iter().find(|(of, _)| of.to_bits() == truth.time.to_bits());
             ratios.push(match drawn {
                 Some(&(_, ratio)) => ratio,
                 None => {
-                    let image = self.drawing.draw(interval, 0, *time, &self.views)?;
-                    compared(&Picture { width: image.width, height: image.height, rgb: image.rgb }, picture)?
+                    let image = self.drawing.draw(interval, 0, truth.time, &self.views)?;
+                    compared(&Picture { width: image.width, height: image.height, rgb: image.rgb }, truth)?
                 }
             });
         }
         self.drawn.clear();
+        self.size = truths.last().map(|truth| truth.size).or(self.size);
         self.sum += ratios.iter().sum::<f64>();
         self.frames += ratios.len();
         self.time += start.elapsed();
@@ -167,9 +188,12 @@ impl Closeness {
     pub fn mean(&self) -> Option<f64> {
         (self.frames > 0).then(|| self.sum / self.frames as f64)
     }
-}
 
-impl Closeness {
+    /// Width and height of the images compared so far; `None` before the first.
+    pub fn size(&self) -> Option<[usize; 2]> {
+        self.size
+    }
+
     /// Continues from these choices.
     pub fn resume(&mut self, choices: &Choices) {
         (self.sum, self.frames) = choices.compared();

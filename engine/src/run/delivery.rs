@@ -22,9 +22,9 @@ pub(super) struct Delivery {
     /// Destination of the results; `None` where only the caller receives them, and after a failure.
     pub outputs: Option<Outputs>,
     pub drawing: Drawing,
-    /// PSNR at 256×256, where key frames depend on it.
+    /// PSNR at the size at which the model sees the video, where key frames depend on it.
     pub closeness: Option<Closeness>,
-    /// PSNR at the source's size, where the images have that size.
+    /// PSNR at the source's size, where the images have that size and the model sees another one.
     pub whole: Option<Whole>,
     pub emit: Emit,
     pub views: Views,

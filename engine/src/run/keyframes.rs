@@ -9,7 +9,7 @@ use crate::picture::Picture;
 use crate::source::{Source, SourceError, TimedPicture};
 
 use crate::run::choices::Choices;
-use crate::run::closeness::{SIDE, Truth};
+use crate::run::closeness::Truth;
 use crate::run::digest::InputDigest;
 use crate::run::keydepth::{KeyDepth, NetworkAccount};
 use crate::run::{Error, Stop};
@@ -78,6 +78,9 @@ pub enum Keep {
     Everything,
 }
 
+/// A width and height for frames of a width and height.
+pub type Placing = Box<dyn Fn([usize; 2]) -> [usize; 2] + Send>;
+
 /// Reads key frames one at a time.
 pub struct KeyFrames {
     source: Source,
@@ -96,7 +99,9 @@ pub struct KeyFrames {
     /// All frames since the key frame before in the form in which they are compared, where the choice of key frames
     /// requires it.
     truths: Option<Vec<Truth>>,
-    /// True if frames are also kept at their own size to be compared.
+    /// Width and height at which frames are compared, from their own; a frame's own where there is none.
+    placing: Option<Placing>,
+    /// True if frames are also compared at their own size.
     whole: bool,
     /// PSNR of the images of earlier key frames' intervals.
     told: Option<Receiver<Found>>,
@@ -126,6 +131,7 @@ impl KeyFrames {
             arrived: 0,
             latest: (0, None),
             truths: gap.depends_on_images().then(Vec::new),
+            placing: None,
             whole: false,
             told: None,
             given: 0,
@@ -134,9 +140,10 @@ impl KeyFrames {
         }
     }
 
-    /// Keeps frames at their own size as well, if images are compared with frames at all.
-    pub fn compare_whole(&mut self, whole: bool) {
-        self.whole = whole;
+    /// Compares images with frames, if at all, at the size that `placing` returns for frames of a width and height, and
+    /// with `whole` at the frames' own size as well.
+    pub fn compare_at(&mut self, placing: Placing, whole: bool) {
+        (self.placing, self.whole) = (Some(placing), whole);
     }
 
     /// Repeats the choices of a stopped run, then continues.
@@ -205,7 +212,20 @@ impl KeyFrames {
 
     fn read(&mut self) -> Result<Option<KeyFrame>, Error> {
         let KeyFrames {
-            source, depth, digest, size, truths, whole, latest, arrived, keep, limit, stop, damage, ..
+            source,
+            depth,
+            digest,
+            size,
+            truths,
+            placing,
+            whole,
+            latest,
+            arrived,
+            keep,
+            limit,
+            stop,
+            damage,
+            ..
         } = self;
         let arrive = || {
             if arrived == limit || damage.is_some() {
@@ -233,8 +253,8 @@ impl KeyFrames {
             *latest = (frame.index, depth.of_file(frame.index, &frame.picture)?);
             digest.add(&frame.picture, frame.timestamp, latest.1.as_deref());
             if let Some(truths) = truths {
-                let samples = whole.then(|| frame.picture.to_rgb8());
-                truths.push(Truth { time: frame.timestamp, picture: frame.picture.resized(SIDE, SIDE), samples });
+                let compared = placing.as_ref().map_or(*size, |placing| placing(*size));
+                truths.push(Truth::new(&frame.picture, frame.timestamp, compared, *whole));
             }
             // Only the last of them can still become a key frame.
             if *keep == Keep::Nothing

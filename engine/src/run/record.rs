@@ -58,9 +58,13 @@ pub struct Record {
     /// Key frames of a run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub key_frames: Option<u64>,
-    /// Mean PSNR of the images of all frames at 256×256, in dB, where key frames depend on it.
+    /// Mean PSNR of the images of all frames at the size at which the model sees them, in dB, where key frames depend
+    /// on it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr: Option<f64>,
+    /// Width and height of that size.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr_size: Option<[usize; 2]>,
     /// Mean PSNR of the same images at the source's own size, in dB, where they are of that size.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_source_size: Option<f64>,
@@ -426,6 +430,7 @@ mod tests {
             image_size: Some([640, 480]),
             key_frames: None,
             psnr: None,
+            psnr_size: None,
             psnr_source_size: None,
             timing: Timing { total: 0.1, threads: 2, isa: "avx2".into(), ..Timing::default() },
         };

@@ -42,14 +42,9 @@ pub fn summary(record: &Record, out: &Path) -> String {
         _ => String::new(),
     };
     let keys = record.key_frames.map(|keys| format!(", {}", count(keys, "key frame"))).unwrap_or_default();
-    let psnr = match (record.psnr_source_size, record.psnr) {
-        (Some(whole), Some(psnr)) => {
-            let [width, height] = record.input.size;
-            format!(", {whole:.1} dB at {width}×{height} and {psnr:.1} dB at 256×256 over all frames")
-        }
-        (None, Some(psnr)) => format!(", {psnr:.1} dB at 256×256 over all frames"),
-        (_, None) => String::new(),
-    };
+    let sizes = closeness(record).map(|(psnr, [width, height])| format!("{psnr:.1} dB at {width}×{height}"));
+    let sizes = sizes.collect::<Vec<_>>().join(" and ");
+    let psnr = if sizes.is_empty() { sizes } else { format!(", {sizes} over all frames") };
     // A rendering's input is counted in intervals.
     let (each, what) = match record.task {
         Invocation::Run(_) => (total / record.input.count.max(1) as f64, "frame"),
@@ -60,6 +55,13 @@ pub fn summary(record: &Record, out: &Path) -> String {
         "{}: {images}{size}{rate}{keys}{psnr}, {files}, {bytes:.1} MB, {total:.2} s, {each:.0} ms per {what}{peak}{stopped}",
         out.display()
     )
+}
+
+/// Mean PSNR of all frames, in dB, and the width and height of the images: first at the source's own size.
+fn closeness(record: &Record) -> impl Iterator<Item = (f64, [usize; 2])> {
+    let whole = record.psnr_source_size.map(|psnr| (psnr, record.input.size));
+    let seen = record.psnr.zip(record.psnr_size).filter(|(_, size)| whole.is_none_or(|(_, whole)| whole != *size));
+    whole.into_iter().chain(seen)
 }
 
 /// Text of a folder's `report.md`, a function of its record.
@@ -103,15 +105,8 @@ fn write_markdown(record: &Record, out: &mut String) -> std::fmt::Result {
         writeln!(out, "| renderer | {}: its images are outside of the bit contract |", record.renderer)?;
     }
     writeln!(out, "| output | {} images, {} files |", images(record), record.outputs.len())?;
-    if let Some(psnr) = record.psnr_source_size {
-        let [width, height] = record.input.size;
-        writeln!(
-            out,
-            "| closeness | {psnr:.2} dB, mean PSNR of all frames at the source's own size, {width}×{height} |"
-        )?;
-    }
-    if let Some(psnr) = record.psnr {
-        writeln!(out, "| closeness | {psnr:.2} dB, mean PSNR of all frames at 256×256 |")?;
+    for (psnr, [width, height]) in closeness(record) {
+        writeln!(out, "| closeness | {psnr:.2} dB, mean PSNR of all frames at {width}×{height} |")?;
     }
     if record.dropped > 0 {
         writeln!(out, "| left out | {} Gaussians with numbers that are not finite |", record.dropped)?;

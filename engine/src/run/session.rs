@@ -167,7 +167,7 @@ impl Session {
         let waits = source.is_stream();
         let mut keys = KeyFrames::new(source, depth, gap, keep, options.frames, stop);
         let whole = gap.depends_on_images() && emit.draws() && views.is_the_sources_own();
-        keys.compare_whole(whole);
+        keys.compare_at(Box::new(engine.content_size()), whole);
         let point = if let Found::Under(under) = &found { Some(&under.0) } else { None };
         let choices = point.and_then(|point| point.choices.as_ref());
         let keys = Ahead::resume(keys, engine.workers().threads(), choices);
@@ -292,7 +292,11 @@ impl Session {
             };
             if let Some(whole) = &mut delivery.whole {
                 let truths = key.shown.iter().zip(&mut key.truths);
-                truths.for_each(|(frame, truth)| whole.expect(frame.index, truth.samples.take().unwrap_or_default()));
+                for (frame, truth) in truths {
+                    if let Some(samples) = truth.own.take() {
+                        whole.expect(frame.index, samples);
+                    }
+                }
             }
             let waits = interval.index == 0 && self.engine.finds_depth() && !due.is_empty();
             if let Some(outputs) = &mut delivery.outputs {
@@ -404,6 +408,8 @@ impl Session {
             work.insert("depth".into(), WorkRecord { done: network.done, avoided: network.avoided, unit });
             seconds.insert("depth".into(), network.time.as_secs_f64());
         }
+        let psnr_size = closeness.as_ref().and_then(Closeness::size);
+        let at_source_size = closeness.as_ref().filter(|_| psnr_size == Some(read.size));
         let options = with_absolute_paths(&task.options);
         let network = options.stream.depth_network().zip(read.network.as_ref());
         let depth = network.map(|(file, network)| NetworkRecord::of(file, &network.runtime)).transpose()?;
@@ -424,7 +430,8 @@ impl Session {
             image_size: drawing.counts.size,
             key_frames: Some(key),
             psnr: closeness.as_ref().and_then(Closeness::mean),
-            psnr_source_size: whole.as_ref().and_then(Whole::mean),
+            psnr_size,
+            psnr_source_size: whole.and_then(|whole| whole.mean().or_else(|| at_source_size?.mean())),
             timing: Timing::of(start, seconds, engine.workers()),
         };
         Ok((record, place))

@@ -108,6 +108,16 @@ impl Engine {
         self.settings.find_depth() && self.model.ignores_depth()
     }
 
+    /// A function from the width and height of a video's frames to those at which the model sees them, without a
+    /// border.
+    pub fn content_size(&self) -> impl Fn([usize; 2]) -> [usize; 2] + Send + use<> {
+        let (resolution, fit, model) = (self.settings.resolution(), self.settings.fit, self.model.clone());
+        move |[width, height]| {
+            let placement = resolution.place([height, width], fit, model.as_ref());
+            placement.map_or([width, height], |placement| [placement.content[1], placement.content[0]])
+        }
+    }
+
     /// Work done and work avoided since the engine was made.
     pub fn work(&self) -> &Work {
         &self.work

@@ -366,6 +366,7 @@ pub(super) fn record(
         image_size: drawing.counts.size,
         key_frames: None,
         psnr: None,
+        psnr_size: None,
         psnr_source_size: None,
         timing: Timing::of(start, seconds, workers),
     })

@@ -540,23 +540,35 @@ fn closeness_at_the_sources_size_is_that_of_the_images_written() {
     let expected = (0..9).map(psnr).sum::<f64>() / 9.0;
     let found = record["psnr_source_size"].as_f64().expect("a figure");
     assert!((found - expected).abs() < 1e-6, "{found} dB, expected {expected}");
-    assert!(record["psnr"].as_f64().is_some_and(|at_256| at_256 != found), "at 256×256: {record}");
+    // The model of this test sees frames at another size.
+    assert!(record["psnr"].as_f64().is_some_and(|seen| seen != found), "{record}");
+    let seen = record["psnr_size"].as_array().expect("a size").clone();
+    assert_ne!(seen, [96, 64], "{record}");
     let report = std::fs::read_to_string(out.join("report.md")).expect("a report");
-    assert!(report.contains("mean PSNR of all frames at the source's own size, 96×64"), "{report}");
+    for [width, height] in [["96".into(), "64".into()], [seen[0].to_string(), seen[1].to_string()]] {
+        assert!(report.contains(&format!("mean PSNR of all frames at {width}×{height}")), "{report}");
+    }
     // `eval` measures the same images.
     let figures = scratch.path("eval.json");
     let eval = ["--seen", "--fit", "letterbox", "--gap", "auto:2-4:30", "--quiet", "--json"];
     let output = command().arg("eval").arg(&clip).args(eval).arg(&figures).arg("--model").arg(model()).output();
     assert!(output.expect("the program starts").status.success());
     let mean = json(&figures)["mean"].clone();
-    for (name, of_run) in [("psnr_source_size", found), ("psnr", record["psnr"].as_f64().expect("a figure"))] {
-        let sum = |group: &str| {
-            let score = &mean[group];
-            score[name].as_f64().expect("dB") * score["frames"].as_f64().expect("a count")
-        };
-        let measured = (sum("key") + sum("middle")) / 9.0;
-        assert!((measured - of_run).abs() < 1e-6, "{name}: {measured} dB, {of_run} by run");
-    }
+    let sum = |group: &str| {
+        let score = &mean[group];
+        score["psnr_source_size"].as_f64().expect("dB") * score["frames"].as_f64().expect("a count")
+    };
+    let measured = (sum("key") + sum("middle")) / 9.0;
+    assert!((measured - found).abs() < 1e-6, "{measured} dB, {found} by run");
+    // Where the model sees frames at their own size, there is one figure.
+    let [width, height] = [0, 1].map(|axis| seen[axis].as_u64().expect("pixels") as u32);
+    let (small, same) = (scratch.clip("small", 9, width, height), scratch.path("same"));
+    run_ok(&small, &same, &["--size", "source", "--fit", "letterbox", "--gap", "auto:2-4:30", "--quiet"]);
+    let record = json(&same.join("run.json"));
+    assert_eq!(record["psnr_size"], serde_json::json!([width, height]));
+    assert!(record["psnr"].is_f64() && record["psnr"] == record["psnr_source_size"], "{record}");
+    let report = std::fs::read_to_string(same.join("report.md")).expect("a report");
+    assert_eq!(report.matches("mean PSNR of all frames").count(), 1, "{report}");
     // Images of another size are not compared with the frames directly.
     let other = scratch.path("other");
     run_ok(&clip, &other, &["--size", "48x32", "--gap", "auto:2-4:30", "--quiet"]);

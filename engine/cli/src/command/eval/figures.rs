@@ -127,7 +127,8 @@ pub(super) struct Sums {
     pub(super) clips: usize,
 }
 
-/// Measured PSNR of an interval's images, and the PSNR at which its frames are predicted from its key frames.
+/// Measured PSNR of an interval's images at the source's own size, and the PSNR at which its frames are predicted from
+/// its key frames.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct IntervalFigures {
     /// Number of frames after its first key frame.

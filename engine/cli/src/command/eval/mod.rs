@@ -30,7 +30,6 @@ use crate::console::progress::Progress;
 use crate::console::{Console, count, say};
 use crate::options::args::EvalArgs;
 use streamsplat::run::ahead::Ahead;
-use streamsplat::run::closeness;
 use streamsplat::run::closeness::{Closeness, psnr_of_samples};
 use streamsplat::run::drawing::Drawing;
 use streamsplat::run::keydepth::KeyDepth;
@@ -46,7 +45,7 @@ use baselines::{FlowBlend, Placed, mix};
 use figures::{ClipFigures, Group, HEADING, IntervalFigures, MOVING, Sums, line};
 
 /// Side of the pictures that are compared.
-const SIDE: usize = closeness::SIDE;
+const SIDE: usize = 256;
 
 #[derive(Serialize)]
 struct Figures {
@@ -194,7 +193,7 @@ struct Sizes {
 }
 
 fn evaluate(
-    keys: KeyFrames,
+    mut keys: KeyFrames,
     gap: Gap,
     settings: &Settings,
     model: &mut Option<Arc<dyn Reconstructor>>,
@@ -213,6 +212,7 @@ fn evaluate(
     let mut drawing = Drawing::new(engine.workers(), views.own.backend)?;
     let mut shown = Vec::new();
     let mut closeness = gap.depends_on_images().then(|| Closeness::new(engine.workers())).transpose()?;
+    keys.compare_at(Box::new(engine.content_size()), false);
     let mut keys = Ahead::new(keys, engine.workers().threads());
     let hidden = console.quiet || !std::io::IsTerminal::is_terminal(&std::io::stderr());
     let console = Console { quiet: hidden, ..console.clone() };
@@ -248,7 +248,8 @@ fn evaluate(
         if waits {
             first = picture.clone().zip(truths.last().cloned());
         }
-        let given = [sums.key.psnr, sums.middle.psnr];
+        let own_sums = |sums: &Sums| [&sums.key, &sums.middle].map(|sum| sum.psnr_source_size.unwrap_or_default());
+        let before_it = own_sums(&sums);
         for (i, (frame, truth)) in key.shown.iter().zip(&truths).enumerate().filter(|_| !waits) {
             let image = drawing.draw(&interval, 0, frame.timestamp, &views.compared)?;
             let own = own_size(&mut drawing, &interval, frame.timestamp, &views.own, &image, &frame.picture)?;
@@ -262,7 +263,8 @@ fn evaluate(
             sum.add(&compared(&image), truth, lpips.as_deref_mut())?;
         }
         let mean = |sum: f64| (last > 0).then(|| sum / last as f64);
-        let (reached, between) = (sums.key.psnr - given[0], mean(sums.middle.psnr - given[1]));
+        let after_it = own_sums(&sums);
+        let (reached, between) = (after_it[0] - before_it[0], mean(after_it[1] - before_it[1]));
         if let Some(closeness) = &mut closeness
             && let Some(found) = closeness.of(&interval, &key.truths)?
         {
