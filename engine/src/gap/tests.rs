@@ -84,7 +84,7 @@ fn the_mean_comes_near_to_what_is_asked_for_whatever_predictions_say() {
             let (keys, mean) = told(auto, &clip, |n| 44.0 + offset - 5.0 * (n as f64).ln());
             let free = keys.windows(2).filter(|pair| pair[1] - pair[0] > 2).count() > 2 && keys.len() > 8;
             // Intervals are whole frames, and cuts make some of them short.
-            assert!(!free || (mean - asked).abs() < 1.3, "asked {asked}, offset {offset}: {mean} with {keys:?}");
+            assert!(!free || (mean - asked).abs() < 1.5, "asked {asked}, offset {offset}: {mean} with {keys:?}");
         }
     }
     let bounded = Auto { least: 2, most: 9, decibels: 60.0 };
