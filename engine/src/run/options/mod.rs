@@ -178,8 +178,8 @@ options! {
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub behind: Option<Behind>,
         /// Every N-th frame is a key frame; or auto, auto:MOST, auto:LEAST-MOST or auto:LEAST-MOST:DB: as few as the
-        /// images of all frames need for a mean PSNR of DB decibels, LEAST to MOST frames apart; frames wait for at most
-        /// MOST-1 later ones; auto alone is auto:3-12:38
+        /// images of all frames need for a mean PSNR of DB decibels, LEAST to MOST frames apart; frames wait for at
+        /// most MOST-1 later ones; auto alone is auto:3-12:38
         #[cfg_attr(feature = "clap", arg(long, value_name = "N"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub gap: Option<Gap>,
