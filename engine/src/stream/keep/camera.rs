@@ -69,7 +69,7 @@ impl Camera {
             counted.iter().filter(|at| wanted(**at)).count() as f64 / counted.len() as f64
         };
         let kept = share(&|at| changes[at] != Change::All);
-        if kept > 0.0 && kept >= LEAST {
+        if kept >= LEAST {
             return Self::Static(Some(Kept::new(blocks, mean, past, frames, changes, &differences)));
         }
         let steady = |d: &Difference| d.square - d.offset() <= STEADY * STEADY;
