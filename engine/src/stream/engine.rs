@@ -356,9 +356,8 @@ impl Engine {
     fn still(&self, view: &mut KeyView, seen: &mut Vec<Seen>) -> (Option<Keeping>, Option<Taken>) {
         let nothing = (None, None);
         let Some(before) = self.state.as_ref().map(|state| &state.view) else { return nothing };
-        let Some(Camera::Static(kept)) = self.camera(view, seen) else { return nothing };
-        let cells = Lattice::of(before.layers().cells, view.resolution());
-        let keeping = kept.zip(cells).map(|(kept, cells)| {
+        let Some((Camera::Static(kept), cells)) = self.camera(view, seen) else { return nothing };
+        let keeping = kept.map(|kept| {
             let keeps = kept.of_cells(&cells, &before.added.moving);
             Keeping { kept, keeps }
         });
@@ -376,8 +375,8 @@ impl Engine {
         (keeping, taken)
     }
 
-    /// The camera over the interval; `None` where static regions are not looked for.
-    fn camera(&self, view: &KeyView, seen: &[Seen]) -> Option<Camera> {
+    /// The camera over the interval, and the model's own Gaussians; `None` where static regions are not looked for.
+    fn camera(&self, view: &KeyView, seen: &[Seen]) -> Option<(Camera, Lattice)> {
         let Self { settings, state, .. } = self;
         let before = &state.as_ref()?.view;
         let wanted = settings.still() == StaticRegions::Keep
@@ -389,11 +388,11 @@ impl Engine {
         if !wanted || view.has_depth() || before.map.is_some() {
             return None;
         }
-        Lattice::of(before.layers().cells, view.resolution())?;
+        let cells = Lattice::of(before.layers().cells, view.resolution())?;
         let blocks = Blocks::of(view.resolution())?;
         let frames: Vec<(f32, &[f32])> =
             seen.iter().map(|seen| (seen.t, &seen.rgb[..])).chain([(1.0, &view.rgb[..])]).collect();
-        Some(Camera::over(blocks, &before.rgb, before.past.as_ref(), &frames))
+        Some((Camera::over(blocks, &before.rgb, before.past.as_ref(), &frames), cells))
     }
 
     /// Flow through the interval; none where motion is the network's.
