@@ -108,6 +108,8 @@ pub struct Closeness {
     size: Option<[usize; 2]>,
     /// Times and PSNR of images that were drawn for output with the same settings as here.
     drawn: Vec<(f64, f64)>,
+    /// True if all images are such; false if all are drawn here.
+    shared: bool,
     /// Sum over all frames of PSNR, in dB.
     sum: f64,
     frames: usize,
@@ -129,7 +131,7 @@ impl Closeness {
     pub fn new(workers: &Workers) -> Result<Closeness, Error> {
         let drawing = Drawing::new(workers, Backend::Cpu)?;
         let (views, drawn) = (Views::own(), Vec::new());
-        Ok(Closeness { drawing, views, size: None, drawn, sum: 0.0, frames: 0, time: Duration::ZERO })
+        Ok(Closeness { drawing, views, size: None, drawn, shared: false, sum: 0.0, frames: 0, time: Duration::ZERO })
     }
 
     /// Compares an image of `views` with its frame among `truths`, if [`Closeness::of`] would draw the same image.
@@ -141,7 +143,7 @@ impl Closeness {
         truths: &[Truth],
     ) -> Result<(), Error> {
         let [height, width] = interval.placement.content;
-        let same = views.is_the_sources_own()
+        let same = views.shows_frames()
             && views.shutter.is_none()
             && views.backend == Backend::Cpu
             && views.options.background == self.views.options.background
@@ -158,6 +160,7 @@ impl Closeness {
     /// Compares the images of `interval` with its frames, the last of which is the key frame.
     pub fn of(&mut self, interval: &Interval, truths: &[Truth]) -> Result<Option<Found>, Error> {
         let start = Instant::now();
+        self.shared = !self.drawn.is_empty();
         let mut ratios = Vec::with_capacity(truths.len());
         for truth in truths {
             let drawn = self.drawn.iter().find(|(of, _)| of.to_bits() == truth.time.to_bits());
@@ -201,8 +204,11 @@ impl Closeness {
 
     /// Adds the comparisons to the account.
     pub fn account(&self, work: &mut BTreeMap<String, WorkRecord>, seconds: &mut BTreeMap<String, f64>) {
-        let record = WorkRecord { done: self.frames as u64, avoided: 0, unit: "frames".to_owned() };
+        let frames = self.frames as u64;
+        let record = WorkRecord { done: frames, avoided: 0, unit: "frames".to_owned() };
         work.insert("compare".to_owned(), record);
+        let [done, avoided] = if self.shared { [0, frames] } else { [frames, 0] };
+        work.insert("compare.images".to_owned(), WorkRecord { done, avoided, unit: "images".to_owned() });
         seconds.insert("compare".to_owned(), self.time.as_secs_f64());
     }
 }

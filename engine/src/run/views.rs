@@ -41,10 +41,15 @@ pub struct Views {
 }
 
 impl Views {
-    /// Returns true if images have the times, the size and the view of the source's frames.
-    pub fn is_the_sources_own(&self) -> bool {
+    /// Returns true if images have the times and the view of the source's frames.
+    pub fn shows_frames(&self) -> bool {
         let own_view = self.camera == CameraPath::default() && self.course.is_none() && self.eyes.is_none();
-        own_view && self.times.is_none() && self.options.size == Size::Source && !self.transparent
+        own_view && self.times.is_none() && !self.transparent
+    }
+
+    /// The same, for images of the source's size.
+    pub fn is_the_sources_own(&self) -> bool {
+        self.shows_frames() && self.options.size == Size::Source
     }
 
     /// Refuses options that only a rendering of a still scene supports: a path through another program's cameras, and

@@ -497,10 +497,17 @@ fn closeness_does_not_depend_on_what_is_written() {
     // Images of the model's own size are drawn once, for both the file and the comparison.
     let scratch = Scratch::new();
     let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/clips/moving.y4m");
-    let found: Vec<_> = ["rgb", "scene", "rgb,depth"]
+    let size = |size: &'static str| ["--size", size];
+    let runs = [
+        ("rgb", size("model"), [0, 13]),
+        ("rgb,depth", size("source"), [0, 13]),
+        ("scene", size("model"), [13, 0]),
+        ("rgb", size("40x40"), [13, 0]),
+    ];
+    let found: Vec<_> = runs
         .iter()
         .enumerate()
-        .map(|(i, emit)| {
+        .map(|(i, (emit, size, images))| {
             let out = scratch.path(&format!("out{i}"));
             let mut run = command();
             run.arg("run").arg(&clip).args([
@@ -513,11 +520,17 @@ fn closeness_does_not_depend_on_what_is_written() {
                 emit,
                 "--out",
             ]);
-            assert!(run.arg(&out).output().expect("the program starts").status.success());
+            assert!(run.arg(&out).args(size).output().expect("the program starts").status.success());
             let record = json(&out.join("run.json"));
             assert!(record["psnr"].as_f64().is_some_and(|psnr| psnr > 20.0), "{record}");
-            let drawn = record["work"]["compare"]["done"].as_u64();
-            assert_eq!(drawn, Some(13));
+            let compare = |stage: &str, kind: &str| record["work"][stage][kind].as_u64();
+            assert_eq!(compare("compare", "done"), Some(13));
+            let drawn = ["done", "avoided"].map(|kind| compare("compare.images", kind));
+            assert_eq!(
+                drawn,
+                images.map(Some),
+                "--emit {emit} {size:?}: images drawn for the comparison, and left out"
+            );
             (record["psnr"].clone(), record["key_frames"].clone())
         })
         .collect();
