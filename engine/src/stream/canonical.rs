@@ -25,6 +25,7 @@
 //!
 //! Pairwise fusion keeps the current Gaussians alone and hands nothing over.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -162,26 +163,39 @@ impl CanonicalSet {
     pub(crate) fn first(gaussians: &Arc<StaticGaussians>, layers: Layers) -> (Self, Advance) {
         let mut set = Self { gaussians: gaussians.clone(), layers, ..Self::default() };
         let mut out = Advance::default();
-        let mut drawn = Vec::with_capacity(gaussians.len());
         for cell in 0..gaussians.len() {
             let record = still(gaussians, cell, 0);
             if !record.is_sound() {
                 out.dropped += 1;
             } else if record.opacity >= ALPHA_MIN {
-                drawn.push((cell as u32, record));
+                let identity = set.identities.fresh();
+                out.gaussians.push(Record { identity, ..record });
+                set.current.push(Current { cell: cell as u32, identity, birth: 0, offset: [0.0; 3] });
             }
         }
-        // The same ones whether a lift adds others between them or not.
-        let lifts = |layer: Layer| matches!(layer, Layer::Outline | Layer::Behind);
-        for lifted in [false, true] {
-            for (cell, record) in drawn.iter_mut().filter(|(cell, _)| lifts(layers.of(*cell)) == lifted) {
-                record.identity = set.identities.fresh();
-                set.current.push(Current { cell: *cell, identity: record.identity, birth: 0, offset: [0.0; 3] });
-            }
-        }
-        set.current.sort_unstable_by_key(|current| current.cell);
-        out.gaussians = drawn.into_iter().map(|(_, record)| record).collect();
         (set, out)
+    }
+
+    /// The set after the first frame once its Gaussians are lifted. The model's own keep their identities, and so do
+    /// details in the same place; the others get new ones.
+    pub(crate) fn lifted(&self, gaussians: &Arc<StaticGaussians>, layers: Layers) -> Self {
+        let key = |gaussians: &StaticGaussians, layers: Layers, cell: u32| match layers.of(cell) {
+            Layer::Own => Some([cell, 0, 0]),
+            Layer::Outline | Layer::Behind => None,
+            Layer::Detail => {
+                let [x, _, z] = gaussians.position[cell as usize];
+                Some([u32::MAX, x.to_bits(), z.to_bits()])
+            }
+        };
+        let known = |current: &Current| Some((key(&self.gaussians, self.layers, current.cell)?, current.identity));
+        let known: BTreeMap<[u32; 3], u64> = self.current.iter().filter_map(known).collect();
+        let (mut set, _) = Self::first(gaussians, layers);
+        set.identities = self.identities.clone();
+        for Current { cell, identity, .. } in &mut set.current {
+            let known = key(gaussians, layers, *cell).and_then(|key| known.get(&key));
+            *identity = known.copied().unwrap_or_else(|| set.identities.fresh());
+        }
+        set
     }
 
     /// Returns the set after the next key frame, and the interval up to it. `self` is unchanged.

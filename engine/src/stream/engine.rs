@@ -473,7 +473,7 @@ impl Engine {
         if let Some(map) = state.view.found_map(workers.level(), &found) {
             let mut context = Context::new(settings, workers, work, fitter, tiles, None);
             context.finish(&mut state.view, Some(map), &Memory::None);
-            (state.set, _) = CanonicalSet::first(&state.view.gaussians, state.view.layers());
+            state.set = state.set.lifted(&state.view.gaussians, state.view.layers());
             state.found = Some(found.found);
         }
     }

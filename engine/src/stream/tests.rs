@@ -194,6 +194,26 @@ fn identities_pass_on_to_a_frame_that_is_lifted_and_take_its_depth() {
 }
 
 #[test]
+fn identities_stay_with_their_places_when_the_first_frame_is_lifted() {
+    // Two details, then the lift adds one along an edge and one behind, and leaves out the first detail.
+    let front = floor();
+    let (cells, details) = (front.len(), [[0.25, 0.6, -0.5], [0.5, 0.6, -0.5]]);
+    let flat: Vec<[f32; 3]> = front.iter().copied().chain(details).collect();
+    let (set, first) = CanonicalSet::first(&frame(&flat), Layers::of_cells(cells));
+    let [x, _, z] = details[1];
+    let added = [[0.25, 0.9, -0.5], [0.5, 0.1, -0.5], [x, 0.95, z]];
+    let lifted: Vec<[f32; 3]> = front.iter().map(|[x, _, z]| [*x, 0.8, *z]).chain(added).collect();
+    let layers = Layers { cells, outline: cells + 1, behind: cells + 2 };
+    let set = set.lifted(&frame(&lifted), layers);
+    let identities: Vec<u64> = set.current.iter().map(|current| current.identity).collect();
+    assert_eq!(identities[..cells], first.gaussians.identity[..cells]);
+    let of_details = &first.gaussians.identity[cells..];
+    assert_eq!(identities[cells + 2], of_details[1]);
+    assert!(identities[cells..cells + 2].iter().all(|identity| !first.gaussians.identity.contains(identity)));
+    assert_eq!(set.identities.next(), identities[cells + 1] + 1);
+}
+
+#[test]
 fn what_stands_behind_others_meets_its_like_and_is_not_kept() {
     // Ten of the floor, and as many behind these; then there is none behind the last one any more.
     let front = floor();

@@ -1,7 +1,9 @@
 //! Depth found by parallax, through the engine.
 
+use std::collections::BTreeMap;
+
 use streamsplat::scene::{resume_point_from_safetensors, resume_point_to_safetensors};
-use streamsplat::stream::{FlowEffort, Interval, ModelSource, MotionFrom, Quality, Reference, Reuse};
+use streamsplat::stream::{FlowEffort, Interval, ModelSource, MotionFrom, Quality, Record, Reference, Reuse};
 use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
 use streamsplat_fixtures::clip::cards::Cards;
 use streamsplat_kernels::Level;
@@ -150,6 +152,15 @@ fn the_first_interval_is_lifted_at_both_ends_and_a_given_map_goes_first() {
         let ([near, far], [front, back]) = (range(&with[1]), range(&without[1]));
         assert!(far - near > 3.0 * (back - front), "{key:?}: from {near} to {far}, {front} to {back} without depth");
     }
+    // An identity of the first image belongs to what is at the same place in the interval after it.
+    let place = |record: Record| (record.identity, [record.mean[0], record.mean[2]]);
+    let first: BTreeMap<u64, [f32; 2]> = with[0].gaussians.iter().map(place).collect();
+    let then = || with[1].gaussians.iter().filter(|record| record.reference == Reference::Start).map(place);
+    let known = then().filter(|(identity, _)| first.contains_key(identity)).count();
+    assert!(known > first.len() * 9 / 10, "{known} of {}", first.len());
+    assert!(then().count() > known, "what the lift adds has identities of its own");
+    let moved = then().filter(|(identity, at)| first.get(identity).is_some_and(|before| before != at)).count();
+    assert_eq!(moved, 0, "identities that belong to another place");
     for (frame, sign) in frames.iter_mut().zip([1.0, 0.5, 0.25]) {
         frame.depth = Some((0..SIZE[0] * SIZE[1]).map(|i| sign * (i % SIZE[1]) as f32).collect());
     }
