@@ -55,31 +55,44 @@ impl Surfaces<'_> {
         for row in z.chunks(width) {
             of_columns.iter_mut().zip(row).for_each(|(most, z)| *most = most.max(*z));
         }
+        let edges: Vec<bool> = (0..z.len()).into_par_iter().with_min_len(4096).map(|at| self.edge_around(at)).collect();
+        let steps = steps(&edges, width);
         let cell = |cell: usize| {
             let (row, column) = (cell / columns * CELL, cell % columns * CELL);
             let farthest = of_rows[row].max(of_columns[column]);
             let own = scene_depth(self.at(row, column).inverse);
-            (farthest - own > self.tear()).then(|| self.past_edge(row, column, own)).flatten()
+            (farthest - own > self.tear()).then(|| self.past_edge(row, column, own, &steps)).flatten()
         };
         (0..rows * columns).into_par_iter().with_min_len(256).map(cell).collect()
     }
 
-    /// Returns the surface past the nearest edge to something farther than `own`.
-    fn past_edge(&self, row: usize, column: usize, own: f32) -> Option<Beyond> {
+    /// Returns the surface past the nearest edge to something farther than `own`; `steps` are those of [`steps`].
+    fn past_edge(&self, row: usize, column: usize, own: f32, steps: &[Vec<u32>; 4]) -> Option<Beyond> {
         let [height, width] = self.resolution();
         let z = self.z();
         let start = row * width + column;
-        // Index steps from pixel to pixel, and numbers of pixels.
-        let ways =
-            [(-1, column), (1, width - 1 - column), (-(width as isize), row), (width as isize, height - 1 - row)];
-        let at = |(step, count): (isize, usize), n: usize| {
-            (n <= count).then(|| start.wrapping_add_signed(step * n as isize))
-        };
+        // Numbers of pixels each way.
+        let ends = [column, width - 1 - column, row, height - 1 - row];
+        let at =
+            |way: usize, n: usize| (n <= ends[way]).then(|| start.wrapping_add_signed(ways(width)[way] * n as isize));
         let farther = |at: usize| z[at] - own > self.tear();
-        let (way, distance) = (1..=(width / REACH).max(1)).find_map(|n| {
-            let past = |way: &(isize, usize)| at(*way, n).is_some_and(|at| farther(at) && self.edge_around(at));
-            ways.into_iter().find(past).map(|way| (way, n))
-        })?;
+        let mut nearest = None;
+        let mut most = (width / REACH).max(1);
+        for (way, steps) in steps.iter().enumerate() {
+            let mut n = 0;
+            while let Some(here) = at(way, n).filter(|here| steps[*here] > 0) {
+                n += steps[here] as usize;
+                if n > most {
+                    break;
+                }
+                if at(way, n).is_some_and(farther) {
+                    // The next way must be shorter.
+                    (nearest, most) = (Some((way, n)), n - 1);
+                    break;
+                }
+            }
+        }
+        let (way, distance) = nearest?;
         // One pixel beyond the edge, past its ramp.
         let first = if at(way, distance + 1).is_some() { distance + 1 } else { distance };
         let beyond = at(way, first).filter(|at| farther(*at))?;
@@ -93,6 +106,39 @@ impl Surfaces<'_> {
             away: same(distance + AWAY).unwrap_or(beyond),
         })
     }
+}
+
+/// Index steps to the left, to the right, up and down.
+fn ways(width: usize) -> [isize; 4] {
+    [-1, 1, -(width as isize), width as isize]
+}
+
+/// The number of pixels from each one to the next with an edge around it, to the left, to the right, up and down; 0
+/// where there is none.
+fn steps(edges: &[bool], width: usize) -> [Vec<u32>; 4] {
+    let along = |way: usize| {
+        let mut steps = vec![0u32; edges.len()];
+        let mut count = |at: usize| {
+            let (column, height) = (at % width, edges.len() / width);
+            let ends = [column, width - 1 - column, at / width, height - 1 - at / width];
+            if ends[way] > 0 {
+                let next = at.wrapping_add_signed(ways(width)[way]);
+                steps[at] = match (edges[next], steps[next]) {
+                    (true, _) => 1,
+                    (false, 0) => 0,
+                    (false, more) => more + 1,
+                };
+            }
+        };
+        match way {
+            0 | 2 => (0..edges.len()).for_each(&mut count),
+            _ => (0..edges.len()).rev().for_each(&mut count),
+        }
+        steps
+    };
+    let two = |a: usize, b: usize| rayon::join(|| along(a), || along(b));
+    let ((left, right), (up, down)) = rayon::join(|| two(0, 1), || two(2, 3));
+    [left, right, up, down]
 }
 
 #[cfg(test)]
@@ -139,6 +185,47 @@ mod tests {
             },
         );
         assert!(scene_depth(1.0) < scene_depth(0.0) && NEAR > FAR);
+    }
+
+    #[test]
+    fn the_edge_found_is_the_nearest_by_the_definition() {
+        let [height, width] = [23, 70];
+        let noise = |i: usize| ((i as u32 + 1).wrapping_mul(2_654_435_761) >> 8) as f32 / 16_777_216.0;
+        // Steps of several depths.
+        let inverse = |at: usize| 0.25 * (4.0 * noise(at / width / 5 * 90 + at % width / 9)).floor();
+        let map = DepthMap {
+            inverse: (0..height * width).map(inverse).collect(),
+            confidence: None,
+            resolution: [height, width],
+        };
+        let frame = vec![0.5; 3 * height * width];
+        let surfaces = Surfaces::new(Level::scalar(), &map, &frame);
+        let beyond = surfaces.beyond();
+        let columns = grid([height, width])[1];
+        let mut found = 0;
+        for (cell, beyond) in beyond.iter().enumerate() {
+            let (row, column) = (cell / columns * CELL, cell % columns * CELL);
+            let own = scene_depth(surfaces.at(row, column).inverse);
+            let edge = |row: Option<usize>, column: Option<usize>| {
+                let (row, column) = (row.filter(|y| *y < height)?, column.filter(|x| *x < width)?);
+                let at = row * width + column;
+                (surfaces.z()[at] - own > surfaces.tear() && surfaces.edge_around(at)).then_some(())
+            };
+            let nearest = (1..=width / REACH).find(|n| {
+                let around = [
+                    edge(Some(row), column.checked_sub(*n)),
+                    edge(Some(row), Some(column + n)),
+                    edge(row.checked_sub(*n), Some(column)),
+                    edge(Some(row + n), Some(column)),
+                ];
+                around.contains(&Some(()))
+            });
+            let distance = beyond.as_ref().map(|beyond| beyond.distance);
+            // A surface may end again right behind its edge.
+            assert!(distance.is_none() || distance == nearest, "cell {cell}: {distance:?}, expected {nearest:?}");
+            found += usize::from(distance.is_some());
+        }
+        assert!(found > beyond.len() / 4, "{found} of {}", beyond.len());
     }
 
     #[test]
