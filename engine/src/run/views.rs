@@ -42,7 +42,7 @@ pub struct Views {
 
 impl Views {
     /// Returns true if images have the times and the view of the source's frames.
-    pub fn shows_frames(&self) -> bool {
+    pub(crate) fn shows_frames(&self) -> bool {
         let own_view = self.camera == CameraPath::default() && self.course.is_none() && self.eyes.is_none();
         own_view && self.times.is_none() && !self.transparent
     }
