@@ -132,6 +132,8 @@ def main():
                     results[program][bool(inside > 0)].append((end - start, np.hypot(*(last - true))))
     for program, parts in results.items():
         for body, name in ((False, 'background'), (True, 'body')):
+            if not parts[body]:
+                sys.exit(f'{program}: no identity starts on the {name} and lives longer than one time')
             length, error = np.array(parts[body]).T
             print(f'{name:11} {len(error):8} identities of {length.mean():5.2f} frames, at the end {np.median(error):.3f} px, 90 % {np.percentile(error, 90):.3f} px, '
                   f'{100 * (error > 1).mean():.2f} % over 1 px  {program}')
