@@ -183,7 +183,7 @@ impl Measured {
 
     /// Takes key frame `k` and draws the middle of its interval.
     fn step(&mut self, film: &Film, k: u64) -> Result<Interval> {
-        let seconds = || timing::processor_seconds().context("CPU time is read from /proc/self/task");
+        let seconds = || timing::processor_seconds().context("this system has no clock of processor time");
         let start = seconds()?;
         let interval = film.push(&mut self.engine, k)?;
         let time = 0.5 * (interval.start + interval.end);
