@@ -64,3 +64,20 @@ program() {
   [ -n "${STREAMSPLAT_TESTED:-}" ] || cargo build --release --locked --quiet
   streamsplat=${CARGO_TARGET_DIR:-$PWD/target}/release/streamsplat
 }
+
+# package PYTHON: builds the wheel of the Python package with that interpreter, unless no source changed since the last time; it is then $wheel. Cargo would
+# compile the package once more for each environment that installs it from source.
+package() {
+  local wheels=$outside/wheel
+  mkdir -p "$wheels"
+  (
+    flock 9
+    if [ ! -e "$wheels/built" ] || [ -n "$(find engine kernels model Cargo.toml Cargo.lock pyproject.toml README.md -newer "$wheels/built" -type f -print -quit)" ]; then
+      rm -f "$wheels"/*
+      touch "$wheels/begun"
+      "$1" -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir "$wheels" .
+      mv "$wheels/begun" "$wheels/built"
+    fi
+  ) 9>"$outside/wheel.lock"
+  wheel=$(echo "$wheels"/*.whl)
+}
