@@ -95,7 +95,8 @@ impl Operation for Aligned<'_> {
             let points: [usize; LANES] = std::array::from_fn(|lane| first + lane);
             let points = &points[..LANES.min(self.starts.len() - first)];
             let (start, own) = self.load(s, points);
-            let misfit = self.misfit(s, start, self.sample(s, self.lumas.from, start), own);
+            let bases = self.sample(s, self.lumas.from, start);
+            let misfit = self.misfit(s, start, bases, own, s.splat(MISFIT));
             let wanted = s.and(finite(s, start), s.le(s.splat(MISFIT), misfit));
             let wanted = s.to_array(s.select(wanted, s.splat(1.0), s.splat(0.0)));
             wrong.extend(points.iter().zip(wanted).filter(|(_, wanted)| *wanted > 0.0).map(|(point, _)| *point));
@@ -136,9 +137,16 @@ impl Aligned<'_> {
         self.steps[0].there.sampler().cross(s, frame, at)
     }
 
-    /// The misfit of velocities.
+    /// The misfit of velocities. No step makes a sum smaller, so once none is under `limit` the rest is left out.
     #[inline(always)]
-    fn misfit<S: Simd>(&self, s: S, start: [S::F32; 2], bases: [S::F32; 5], [u, v]: [S::F32; 2]) -> S::F32 {
+    fn misfit<S: Simd>(
+        &self,
+        s: S,
+        start: [S::F32; 2],
+        bases: [S::F32; 5],
+        [u, v]: [S::F32; 2],
+        limit: S::F32,
+    ) -> S::F32 {
         let mut sum = s.splat(0.0);
         for ((&frame, step), &weight) in self.lumas.to.iter().zip(self.steps).zip(self.weights) {
             let distance = s.splat(step.distance);
@@ -148,6 +156,9 @@ impl Aligned<'_> {
                 let difference = s.abs(s.sub(found[i], bases[i]));
                 sum = s.mul_add(s.splat(weight), s.min(difference, s.splat(HIDDEN)), sum);
             }
+            if !s.any(s.lt(sum, limit)) {
+                break;
+            }
         }
         sum
     }
@@ -156,7 +167,7 @@ impl Aligned<'_> {
     #[inline(always)]
     fn best<S: Simd>(&self, s: S, start: [S::F32; 2], own: [S::F32; 2]) -> [S::F32; 2] {
         let bases = self.sample(s, self.lumas.from, start);
-        let former = self.misfit(s, start, bases, own);
+        let former = self.misfit(s, start, bases, own, s.splat(f32::INFINITY));
         let mut best = Best { misfit: former, velocity: own };
         for [x, y] in NEIGHBOURS {
             let neighbour = [s.add(start[0], s.splat(x)), s.add(start[1], s.splat(y))];
@@ -188,7 +199,7 @@ impl Aligned<'_> {
         best: &mut Best<S>,
         velocity: [S::F32; 2],
     ) -> S::Mask {
-        let misfit = self.misfit(s, start, bases, velocity);
+        let misfit = self.misfit(s, start, bases, velocity, best.misfit);
         let better = s.and(finite(s, velocity), s.lt(misfit, best.misfit));
         best.misfit = s.select(better, misfit, best.misfit);
         for axis in 0..2 {

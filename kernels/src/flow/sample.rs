@@ -50,16 +50,15 @@ impl Sampler {
     pub fn taps<S: Simd>(self, s: S, x: Axis<S>, y: Axis<S>) -> Taps<S> {
         let (row, low) = (s.to_array_i32(y.low), s.to_array_i32(x.low));
         let (down, right) = (s.to_array_i32(y.step), s.to_array_i32(x.step));
-        let mut taps = [[0; LANES]; 4];
+        let last = (self.h - 1) * self.stride + self.w - 1;
+        let (mut upper, mut lower, mut most) = ([0; LANES], [0; LANES], 0);
         for i in 0..LANES {
-            let upper = row[i] as usize * self.stride + low[i] as usize;
-            let lower = upper + down[i] as usize * self.stride;
-            let right = right[i] as usize;
-            for (k, at) in [upper, upper + right, lower, lower + right].into_iter().enumerate() {
-                taps[k][i] = at as u32;
-            }
+            upper[i] = (row[i] as usize * self.stride + low[i] as usize) as u32;
+            lower[i] = upper[i] + down[i] as u32 * self.stride as u32;
+            most = most.max(lower[i]);
         }
-        Taps { taps, last: (self.h - 1) * self.stride + self.w - 1, x: x.weight, y: y.weight }
+        let inside = s.all(s.eq_i32(x.step, s.splat_i32(1)));
+        Taps { upper, lower, right, fours: inside && most as usize + 3 <= last, last, x: x.weight, y: y.weight }
     }
 }
 
@@ -70,19 +69,20 @@ impl Sampler {
     pub fn cross<S: Simd>(self, s: S, plane: &[f32], [x, y]: [S::F32; 2]) -> [S::F32; 5] {
         assert!(plane.len() > (self.h - 1) * self.stride + self.w - 1, "a tap beyond the plane");
         let ((columns, fx), (rows, fy)) = (four(s, x, self.w), four(s, y, self.h));
+        // Away from the border the four columns of every point are neighbours.
+        let apart = (0..LANES).fold(0, |apart, i| apart | ((columns[3][i] - columns[0][i]) ^ 3));
         let mut values = [[s.splat(0.0); 4]; 4];
-        for row in 0..4 {
-            for column in 0..4 {
-                // The corners belong to none of the five.
-                if (row == 0 || row == 3) && (column == 0 || column == 3) {
-                    continue;
-                }
-                let mut taps = [0; LANES];
-                for i in 0..LANES {
-                    taps[i] = rows[row][i] as u32 * self.stride as u32 + columns[column][i] as u32;
-                }
-                // SAFETY: rows and columns are those of the picture, whose last value the plane has.
-                values[row][column] = unsafe { gather(s, plane, &taps) };
+        for (values, rows) in values.iter_mut().zip(&rows) {
+            let row: [u32; LANES] = std::array::from_fn(|i| rows[i] as u32 * self.stride as u32 + columns[0][i] as u32);
+            if apart == 0 {
+                // SAFETY: rows and columns, the last ones too, are those of the picture, whose last value the plane has.
+                *values = unsafe { s.gather_fours(plane.as_ptr(), &row) };
+                continue;
+            }
+            for (value, column) in values.iter_mut().zip(&columns) {
+                let taps = std::array::from_fn(|i| row[i] + (column[i] - columns[0][i]) as u32);
+                // SAFETY: as above.
+                *value = unsafe { gather(s, plane, &taps) };
             }
         }
         let [above, upper, lower, below] = values;
@@ -123,8 +123,13 @@ fn four<S: Simd>(s: S, at: S::F32, n: usize) -> ([[i32; LANES]; 4], S::F32) {
 
 /// Four indices and two weights for every lane.
 pub(super) struct Taps<S: Simd> {
-    /// Each at most `last`, since coordinates end with the picture.
-    taps: [[u32; LANES]; 4],
+    /// The left taps of both rows; each tap is at most `last`, since coordinates end with the picture.
+    upper: [u32; LANES],
+    lower: [u32; LANES],
+    /// From a left tap to its right one: 1, or 0 in the last column.
+    right: [i32; LANES],
+    /// True if each right tap is next to the left one and two values after it are also up to `last`.
+    fours: bool,
     last: usize,
     x: S::F32,
     y: S::F32,
@@ -135,15 +140,21 @@ impl<S: Simd> Taps<S> {
     #[inline(always)]
     pub fn take(&self, s: S, plane: &[f32]) -> S::F32 {
         assert!(plane.len() > self.last, "a tap beyond the plane");
-        // SAFETY: no tap is behind the last value of the picture, which the plane has.
-        let [a, b, c, d] = unsafe {
-            [
-                gather(s, plane, &self.taps[0]),
-                gather(s, plane, &self.taps[1]),
-                gather(s, plane, &self.taps[2]),
-                gather(s, plane, &self.taps[3]),
-            ]
-        };
+        let mut rows = [[s.splat(0.0); 2]; 2];
+        for (values, row) in rows.iter_mut().zip([&self.upper, &self.lower]) {
+            // SAFETY: no tap is behind the last value of the picture, which the plane has; nor are two more values,
+            // where `fours` is true.
+            unsafe {
+                if self.fours {
+                    let [left, right, ..] = s.gather_fours(plane.as_ptr(), row);
+                    *values = [left, right];
+                } else {
+                    let right = std::array::from_fn(|i| row[i] + self.right[i] as u32);
+                    *values = [gather(s, plane, row), gather(s, plane, &right)];
+                }
+            }
+        }
+        let [[a, b], [c, d]] = rows;
         let upper = s.mul_add(self.x, s.sub(b, a), a);
         let lower = s.mul_add(self.x, s.sub(d, c), c);
         s.mul_add(self.y, s.sub(lower, upper), upper)

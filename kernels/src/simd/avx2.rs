@@ -312,6 +312,33 @@ impl Simd for Avx2 {
         unsafe { F(_mm256_loadu_ps(low), _mm256_loadu_ps(high)) }
     }
     #[inline(always)]
+    unsafe fn gather_fours(self, from: *const f32, places: &[u32; LANES]) -> [F; 4] {
+        // SAFETY: the caller's; the token proves AVX2.
+        unsafe {
+            let mut halves = [[_mm256_setzero_ps(); 4]; 2];
+            for (first, half) in [0, 8].into_iter().zip(&mut halves) {
+                // Lanes i and 4 + i, so that transposing each 4×4 values puts all lanes in order.
+                let mut lanes = [_mm256_setzero_ps(); 4];
+                for i in 0..4 {
+                    let four = [first + i, first + 4 + i].map(|lane| from.add(places[lane] as usize));
+                    let low = _mm256_castps128_ps256(_mm_loadu_ps(four[0]));
+                    lanes[i] = _mm256_insertf128_ps::<1>(low, _mm_loadu_ps(four[1]));
+                }
+                let [a, b, c, d] = lanes;
+                let (ab, cd) = (_mm256_unpacklo_ps(a, b), _mm256_unpacklo_ps(c, d));
+                let (ab_high, cd_high) = (_mm256_unpackhi_ps(a, b), _mm256_unpackhi_ps(c, d));
+                *half = [
+                    _mm256_shuffle_ps::<0x44>(ab, cd),
+                    _mm256_shuffle_ps::<0xee>(ab, cd),
+                    _mm256_shuffle_ps::<0x44>(ab_high, cd_high),
+                    _mm256_shuffle_ps::<0xee>(ab_high, cd_high),
+                ];
+            }
+            let [low, high] = halves;
+            [F(low[0], high[0]), F(low[1], high[1]), F(low[2], high[2]), F(low[3], high[3])]
+        }
+    }
+    #[inline(always)]
     fn repeat_four(self, from: &[f32; 4]) -> F {
         // SAFETY: an array of that many values; the token proves AVX2.
         unsafe {

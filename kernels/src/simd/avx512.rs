@@ -325,6 +325,30 @@ impl<const BF16: bool, const BYTES: bool> Simd for Avx512<BF16, BYTES> {
         unsafe { _mm512_insertf32x8::<1>(_mm512_castps256_ps512(_mm256_loadu_ps(low)), _mm256_loadu_ps(high)) }
     }
     #[inline(always)]
+    unsafe fn gather_fours(self, from: *const f32, places: &[u32; LANES]) -> [F; 4] {
+        // SAFETY: the caller's; the token proves AVX-512.
+        unsafe {
+            // Lanes i, 4 + i, 8 + i and 12 + i, so that transposing each 4×4 values puts all lanes in order.
+            let mut lanes = [_mm512_setzero_ps(); 4];
+            for i in 0..4 {
+                let four = [i, 4 + i, 8 + i, 12 + i].map(|lane| from.add(places[lane] as usize));
+                let low = _mm512_castps128_ps512(_mm_loadu_ps(four[0]));
+                let low = _mm512_insertf32x4::<1>(low, _mm_loadu_ps(four[1]));
+                let low = _mm512_insertf32x4::<2>(low, _mm_loadu_ps(four[2]));
+                lanes[i] = _mm512_insertf32x4::<3>(low, _mm_loadu_ps(four[3]));
+            }
+            let [a, b, c, d] = lanes;
+            let (ab, cd) = (_mm512_unpacklo_ps(a, b), _mm512_unpacklo_ps(c, d));
+            let (ab_high, cd_high) = (_mm512_unpackhi_ps(a, b), _mm512_unpackhi_ps(c, d));
+            [
+                _mm512_shuffle_ps::<0x44>(ab, cd),
+                _mm512_shuffle_ps::<0xee>(ab, cd),
+                _mm512_shuffle_ps::<0x44>(ab_high, cd_high),
+                _mm512_shuffle_ps::<0xee>(ab_high, cd_high),
+            ]
+        }
+    }
+    #[inline(always)]
     fn repeat_four(self, from: &[f32; 4]) -> F {
         // SAFETY: an array of that many values; the token proves AVX-512.
         unsafe { _mm512_broadcast_f32x4(_mm_loadu_ps(from.as_ptr())) }

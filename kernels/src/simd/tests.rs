@@ -186,6 +186,27 @@ fn partial_loads_fill_and_partial_stores_stop() {
 }
 
 #[test]
+fn four_values_of_each_place_reach_their_lanes_on_every_level() {
+    struct Fours<'a>(&'a [f32], &'a [u32; LANES]);
+    impl Operation for Fours<'_> {
+        type Output = [[f32; LANES]; 4];
+        #[inline(always)]
+        fn run<S: Simd>(self, s: S) -> Self::Output {
+            assert!(self.1.iter().all(|place| *place as usize + 4 <= self.0.len()));
+            // SAFETY: just checked.
+            unsafe { s.gather_fours(self.0.as_ptr(), self.1) }.map(|lanes| s.to_array(lanes))
+        }
+    }
+    let from: Vec<f32> = (0..100).map(|i| i as f32).collect();
+    // Any order, twice the same, and the last four.
+    let places = [0, 96, 5, 5, 41, 7, 90, 13, 2, 77, 50, 51, 52, 53, 1, 96];
+    for level in levels() {
+        let expected: [[f32; LANES]; 4] = std::array::from_fn(|k| places.map(|place| (place as usize + k) as f32));
+        assert_eq!(dispatch(level, Fours(&from, &places)), expected, "{}", level.name());
+    }
+}
+
+#[test]
 fn bytes_are_stored_and_read_back_on_every_level() {
     struct Both<'a>(&'a [u8; 16]);
     impl Operation for Both<'_> {

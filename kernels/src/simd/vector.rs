@@ -154,6 +154,23 @@ pub trait Simd: Elementwise {
         all[8..].copy_from_slice(&high);
         self.from_array(all)
     }
+    /// Four neighbouring values from each of 16 places: lane `i` of vector `k` is value `k` from `places[i]` on.
+    ///
+    /// # Safety
+    /// `from` is readable for four values from each of the places on; no alignment is needed.
+    #[inline(always)]
+    unsafe fn gather_fours(self, from: *const f32, places: &[u32; LANES]) -> [Self::F32; 4] {
+        let mut all = [[0.0; LANES]; 4];
+        for lane in 0..LANES {
+            // SAFETY: the caller's.
+            let four = unsafe { from.add(places[lane] as usize).cast::<[f32; 4]>().read_unaligned() };
+            for k in 0..4 {
+                all[k][lane] = four[k];
+            }
+        }
+        let [a, b, c, d] = all;
+        [self.from_array(a), self.from_array(b), self.from_array(c), self.from_array(d)]
+    }
 }
 
 /// A computation that can be entered on any level.
