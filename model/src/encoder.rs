@@ -10,8 +10,8 @@ use streamsplat_kernels::patches::patches;
 
 use crate::checkpoint::Weights;
 use crate::grid::rows_of;
-use crate::layers::{Block, Linear, RmsNorm, Workspace, add, sinusoid, windows};
-use crate::reuse::{PartCache, Pass};
+use crate::layers::{Block, Linear, RmsNorm, Workspace, add, sinusoid, sized, windows};
+use crate::reuse::{PartCache, Pass, Rows, gather};
 use crate::{Config, ModelError, Precision};
 
 #[derive(Clone)]
@@ -80,6 +80,37 @@ impl Encoder {
         let h = pass.finish(rows.at, self.layernorm2.of(level, &rows.x));
         work.tokens = rows.x;
         h
+    }
+
+    /// [`Encoder::encode`] for the tokens `part` alone, `[part, D]`. All blocks but the last need every token; the last
+    /// needs keys and values of every token.
+    pub(crate) fn encode_part(
+        &self,
+        level: Level,
+        config: &Config,
+        tokens: &[f32],
+        part: &[u32],
+        work: &mut Workspace,
+    ) -> Vec<f32> {
+        let d = self.conv.n();
+        let mut entered = tokens.to_vec();
+        add(&mut entered, &self.position);
+        let mut x = std::mem::take(&mut work.tokens);
+        sized(&mut x, entered.len()).copy_from_slice(&self.layernorm1.of(level, &entered));
+        let mut all = Rows { at: None, x };
+        let mut rows = vec![0.0; part.len() * d];
+        match self.blocks.split_last() {
+            None => gather(part, &all.x, d, &mut rows),
+            Some((last, first)) => {
+                for (i, block) in first.iter().enumerate() {
+                    block.apply(level, windows(config.encoder_window, i), &mut all, None, work);
+                }
+                let windows = windows(config.encoder_window, first.len());
+                last.apply_part(level, windows, part, &all.x, &mut rows, work);
+            }
+        }
+        work.tokens = all.x;
+        self.layernorm2.of(level, &rows)
     }
 
     pub(crate) fn bytes(&self) -> usize {

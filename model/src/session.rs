@@ -6,9 +6,10 @@ use tracing::info_span;
 
 use crate::error::check_input;
 use crate::reuse::{Cache, Saving};
+use crate::upsampler::cells;
 use crate::{
-    Deformation, Embedding, FrameInput, ModelError, Network, Sampling, Side, StaticFrame, StaticGaussians,
-    StaticPosition,
+    Deformation, Embedding, FrameInput, ModelError, Network, Sampling, Side, StaticFrame, StaticGaussian,
+    StaticGaussians, StaticPosition,
 };
 
 /// A session of a network, for single frames or, with a [`Cache`], for the frames of one stream in order.
@@ -88,6 +89,66 @@ impl<N: Borrow<Network>> Session<N> {
         let Network { config, options, encoder, workspaces, .. } = self.network.borrow();
         let cache = self.cache.as_mut().map(|cache| &mut cache.encoder);
         Ok(Embedding { h: workspaces.lend(|work| encoder.encode(options.level, config, tokens, cache, work)) })
+    }
+
+    /// Returns true if [`Session::embed_part`] and what follows it compute nothing but a part: without a cache, and
+    /// where nothing after the encoder mixes tokens. Otherwise they compute everything.
+    pub fn computes_parts(&self) -> bool {
+        let Network { upsamplers_are_local, options, .. } = self.network();
+        self.cache.is_none() && *upsamplers_are_local && !options.compute_zero_output
+    }
+
+    /// The embedding of the patches `part` (ascending, row by row) of a frame: the bits that [`Session::embed`] has
+    /// for them. If [`Session::computes_parts`], only these rows, `[part, D]`, otherwise those of all patches.
+    ///
+    /// # Errors
+    /// As [`Session::embed`], and when a patch is not of the grid.
+    pub fn embed_part(&mut self, frame: &FrameInput<'_>, part: &[u32]) -> Result<Embedding, ModelError> {
+        if !self.computes_parts() {
+            return self.embed(frame);
+        }
+        self.check_part(part)?;
+        let tokens = self.tokenize(frame)?;
+        let _span = info_span!("encoder").entered();
+        let Network { config, options, encoder, workspaces, .. } = self.network();
+        Ok(Embedding { h: workspaces.lend(|work| encoder.encode_part(options.level, config, &tokens, part, work)) })
+    }
+
+    /// [`Session::upsample_static`] of a result of [`Session::embed_part`] of the same patches.
+    ///
+    /// # Errors
+    /// When `h` is not such a result.
+    pub fn upsample_static_part(&mut self, h: &[f32], part: &[u32]) -> Result<Vec<f32>, ModelError> {
+        if !self.computes_parts() {
+            return self.upsample_static(h);
+        }
+        self.check_part(part)?;
+        let Network { config, options, static_upsampler, workspaces, .. } = self.network();
+        let (n, d) = (part.len(), config.hidden_dim);
+        check_input("h", h, n * d, &format!("[{n}, {d}]"))?;
+        let _span = info_span!("upsampler", kind = "static").entered();
+        Ok(workspaces.lend(|work| static_upsampler.apply_part(options.level, config, h, part, work)))
+    }
+
+    /// [`Session::static_head`] at the mean of a result of [`Session::upsample_static_part`] of the same patches: all
+    /// Gaussians of the frame. If [`Session::computes_parts`], those of other patches are the default.
+    ///
+    /// # Errors
+    /// When `tokens` are not such a result.
+    pub fn static_head_part(&mut self, tokens: &[f32], part: &[u32]) -> Result<StaticGaussians, ModelError> {
+        if !self.computes_parts() {
+            return self.static_head(tokens, &Sampling::Mean);
+        }
+        self.check_part(part)?;
+        let Network { config, options, static_head, .. } = self.network();
+        let (n, d) = (16 * part.len(), config.gaussian_dim());
+        check_input("static tokens", tokens, n * d, &format!("[{n}, {d}]"))?;
+        let _span = info_span!("heads", kind = "static").entered();
+        let cells = cells(part, config.grid()[1]);
+        let some = static_head.apply(options.level, config, tokens, Some(&cells), Sampling::Mean);
+        let mut all: StaticGaussians = std::iter::repeat_n(StaticGaussian::default(), config.gaussians()).collect();
+        cells.iter().zip(some.iter()).for_each(|(cell, gaussian)| all.set(*cell as usize, gaussian));
+        Ok(all)
     }
 
     /// The Gaussians of a frame at its own time: [`Session::upsample_static`], then [`Session::static_head`].
@@ -234,6 +295,19 @@ impl<N: Borrow<Network>> Session<N> {
         }
         check_input(&name, features, features.len(), "")?;
         Ok(features)
+    }
+
+    fn check_part(&self, part: &[u32]) -> Result<(), ModelError> {
+        let n = self.network().config.tokens();
+        let ascends = part.is_sorted_by(|a, b| a < b) && part.last().is_none_or(|last| (*last as usize) < n);
+        match ascends {
+            true => Ok(()),
+            false => Err(ModelError::Input {
+                input: "part".to_owned(),
+                expected: format!("ascending patches of {n}"),
+                found: format!("{} up to {:?}", part.len(), part.iter().max()),
+            }),
+        }
     }
 
     fn check_tokens(&self, name: &str, values: &[f32]) -> Result<(), ModelError> {

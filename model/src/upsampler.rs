@@ -8,7 +8,7 @@ use streamsplat_kernels::Level;
 
 use crate::checkpoint::Weights;
 use crate::layers::{Block, Linear, RmsNorm, Workspace, sized, windows};
-use crate::reuse::{PartCache, Pass};
+use crate::reuse::{PartCache, Pass, Rows};
 use crate::{Config, ModelError, Precision};
 
 #[derive(Clone)]
@@ -45,7 +45,33 @@ impl Upsampler {
         (cache, moves): (Option<&mut PartCache>, bool),
         work: &mut Workspace,
     ) -> Vec<f32> {
-        let (mut pass, mut rows) = Pass::begin(level, cache, moves, h, std::mem::take(&mut work.tokens));
+        let (pass, rows) = Pass::begin(level, cache, moves, h, std::mem::take(&mut work.tokens));
+        self.widen(level, config, pass, rows, work)
+    }
+
+    /// [`Upsampler::apply`] without a cache to the tokens `part` alone, whose rows `h` has. Windows must not mix them
+    /// with others. The result has the rows of their sub-tokens, at [`cells`].
+    pub(crate) fn apply_part(
+        &self,
+        level: Level,
+        config: &Config,
+        h: &[f32],
+        part: &[u32],
+        work: &mut Workspace,
+    ) -> Vec<f32> {
+        let mut x = std::mem::take(&mut work.tokens);
+        sized(&mut x, h.len()).copy_from_slice(h);
+        self.widen(level, config, Pass::without_cache(level), Rows { at: Some(part.to_vec()), x }, work)
+    }
+
+    fn widen(
+        &self,
+        level: Level,
+        config: &Config,
+        mut pass: Pass<'_>,
+        mut rows: Rows,
+        work: &mut Workspace,
+    ) -> Vec<f32> {
         let [_, mut columns] = config.grid();
         let mut from = std::mem::take(&mut work.wide);
         for (i, stage) in self.stages.iter().enumerate() {
@@ -96,6 +122,11 @@ impl Stage {
             blocks: [block(0)?, block(1)?],
         })
     }
+}
+
+/// The places of the sixteen sub-tokens of each token `at` of a grid of this width, in the order of their rows.
+pub(crate) fn cells(at: &[u32], width: usize) -> Vec<u32> {
+    sub_tokens(&sub_tokens(at, width), 2 * width)
 }
 
 /// The places of the four sub-tokens of each token `at` of a grid of this width, row by row.

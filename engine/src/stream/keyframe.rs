@@ -12,7 +12,7 @@ use super::detail;
 use super::gaussians::reached;
 use super::keep::{Change, Keeps, Kept, Past, with_kept};
 use super::lift::{Added, Alignment, DepthMap, Memory, lift, normalise_most};
-use super::tiles::{Tile, Tiles};
+use super::tiles::{Part, Tile, Tiles};
 use super::work::Stage;
 use super::{Behind, DepthRange, EngineError, FlowEffort, Frame, SamplingMode, Settings, Work};
 use crate::fit::{self, Placement};
@@ -88,15 +88,23 @@ pub(super) struct AlignedMap {
 #[derive(Clone)]
 pub(super) struct TileView {
     pub(super) features: Arc<Features>,
-    /// In the tile's own world.
+    /// In the tile's own world; those that are not of `part` have no meaning.
     pub(super) gaussians: Arc<StaticGaussians>,
+    /// What was computed.
+    pub(super) part: Part,
 }
 
-/// The dynamic decoder's input from one tile. Equal inputs share one.
+/// The dynamic decoder's input from one tile. Equal inputs share one. Empty where no decoder follows.
 pub(super) struct Features {
     pub(super) embedding: Embedding,
     pub(super) tokens: Vec<f32>,
     pub(super) condition: Option<Vec<f32>>,
+}
+
+impl Features {
+    fn none() -> Arc<Features> {
+        Arc::new(Features { embedding: Embedding { h: Vec::new() }, tokens: Vec::new(), condition: None })
+    }
 }
 
 /// Context in which a frame is reconstructed.
@@ -141,13 +149,15 @@ impl Context<'_> {
         let mut tiles = Vec::with_capacity(self.tiles.tiles.len());
         for at in 0..self.tiles.tiles.len() {
             let depth = view.depth.as_deref().filter(|_| !lifts);
-            if wanted.as_ref().is_none_or(|wanted| self.tiles.has(at, wanted)) {
-                tiles.push(Some(self.tile(at, &view.rgb, depth, index)?));
+            let part = self.part(at, wanted.as_deref());
+            if part != Part::Nothing {
+                tiles.push(Some(self.tile(at, part, &view.rgb, depth, index)?));
                 continue;
             }
             for stage in [Stage::Encoder, Stage::Upsampler, Stage::Condition, Stage::Heads] {
                 self.work.count(stage, 0, 1);
             }
+            self.work.count(Stage::Patches, 0, self.tiles.computed(at, &Part::Nothing)[1]);
             tiles.push(None);
         }
         view.tiles = tiles;
@@ -279,8 +289,28 @@ impl Context<'_> {
         Arc::make_mut(&mut view.gaussians).rgb = rgb;
     }
 
-    /// Reconstructs tile `at` of the frame.
-    fn tile(&mut self, at: usize, rgb: &[f32], depth: Option<&[f32]>, index: u64) -> Result<TileView, EngineError> {
+    /// What of tile `at` is computed to have the Gaussians of the `wanted` cells (`None`: all).
+    fn part(&self, at: usize, wanted: Option<&[bool]>) -> Part {
+        let part = self.tiles.part(at, wanted);
+        // The decoder reads all tokens; drawn positions depend on the number of Gaussians before them.
+        let whole = self.settings.deforms() || self.draws(at) || !self.tiles.tiles[at].session.computes_parts();
+        if whole && part != Part::Nothing { Part::Everything } else { part }
+    }
+
+    /// Returns true if the positions of tile `at` are drawn.
+    fn draws(&self, at: usize) -> bool {
+        self.settings.sampling != SamplingMode::Mean && self.tiles.tiles[at].session.draws_positions()
+    }
+
+    /// Reconstructs `part` of tile `at` of the frame.
+    fn tile(
+        &mut self,
+        at: usize,
+        part: Part,
+        rgb: &[f32],
+        depth: Option<&[f32]>,
+        index: u64,
+    ) -> Result<TileView, EngineError> {
         let resolution = self.tiles.resolution;
         let same = |before: &&KeyView| {
             let tile = &self.tiles.tiles[at];
@@ -292,6 +322,8 @@ impl Context<'_> {
                 }
         };
         let before = self.before.filter(same).and_then(|view| view.tiles[at].clone());
+        let before = before.filter(|before| before.part.contains(&part));
+        let draws = self.draws(at);
         let sampling = match self.settings.sampling {
             SamplingMode::Mean => Sampling::Mean,
             // Each tile draws from its own random stream.
@@ -302,8 +334,9 @@ impl Context<'_> {
             work.count(Stage::Encoder, 0, 1);
             work.count(Stage::Upsampler, 0, 1);
             work.count(Stage::Condition, 0, 1);
+            work.count(Stage::Patches, 0, self.tiles.computed(at, &Part::Nothing)[1]);
             let tile = &mut self.tiles.tiles[at];
-            if sampling == Sampling::Mean || !tile.session.draws_positions() {
+            if !draws {
                 work.count(Stage::Heads, 0, 1);
                 return Ok(before);
             }
@@ -315,7 +348,18 @@ impl Context<'_> {
             (self.tiles.cut(tile, rgb), depth.map(|depth| self.tiles.cut(tile, depth)))
         };
         let input = FrameInput { rgb: &rgb, depth: depth.as_deref() };
+        let [done, avoided] = self.tiles.computed(at, &part);
+        work.count(Stage::Patches, done, avoided);
         let tile = &mut self.tiles.tiles[at];
+        if let Part::Patches(patches) = &part {
+            let session = &mut tile.session;
+            let embedding = work.measure(Stage::Encoder, || session.embed_part(&input, patches))?;
+            let tokens = work.measure(Stage::Upsampler, || session.upsample_part(&embedding, patches))?;
+            work.count(Stage::Condition, 0, 1);
+            let gaussians = work.measure(Stage::Heads, || session.gaussians_part(&tokens, patches))?;
+            let gaussians = Arc::new(even(gaussians, index)?);
+            return Ok(TileView { features: Features::none(), gaussians, part });
+        }
         let embedding = work.measure(Stage::Encoder, || tile.session.embed(&input))?;
         let tokens = work.measure(Stage::Upsampler, || tile.session.upsample(&embedding))?;
         // Only the decoder reads it.
@@ -329,13 +373,12 @@ impl Context<'_> {
         let gaussians = gaussians(tile, work, &tokens, sampling, index)?;
         // The next pair reads them; where positions are drawn, so does a frame that repeats this one.
         let pairs = self.settings.deforms();
-        let drawn = sampling != Sampling::Mean && tile.session.draws_positions();
         let features = Arc::new(Features {
             embedding: if pairs { embedding } else { Embedding { h: Vec::new() } },
-            tokens: if pairs || drawn { tokens } else { Vec::new() },
+            tokens: if pairs || draws { tokens } else { Vec::new() },
             condition,
         });
-        Ok(TileView { features, gaussians: Arc::new(gaussians) })
+        Ok(TileView { features, gaussians: Arc::new(gaussians), part })
     }
 }
 
@@ -402,7 +445,11 @@ fn gaussians(
     sampling: Sampling,
     index: u64,
 ) -> Result<StaticGaussians, EngineError> {
-    let gaussians = work.measure(Stage::Heads, || tile.session.gaussians(tokens, &sampling))?;
+    even(work.measure(Stage::Heads, || tile.session.gaussians(tokens, &sampling))?, index)
+}
+
+/// Checks that a reconstructor's arrays have one length.
+fn even(gaussians: StaticGaussians, index: u64) -> Result<StaticGaussians, EngineError> {
     match gaussians.uneven() {
         Some((what, found)) => Err(EngineError::Records { index, what, expected: gaussians.len(), found }),
         None => Ok(gaussians),

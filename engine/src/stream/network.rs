@@ -104,6 +104,22 @@ impl Session for Stages {
         self.network.static_head(tokens, sampling)
     }
 
+    fn computes_parts(&self) -> bool {
+        self.network.computes_parts()
+    }
+
+    fn embed_part(&mut self, frame: &FrameInput<'_>, part: &[u32]) -> Result<Embedding, ModelError> {
+        self.network.embed_part(frame, part)
+    }
+
+    fn upsample_part(&mut self, embedding: &Embedding, part: &[u32]) -> Result<Vec<f32>, ModelError> {
+        self.network.upsample_static_part(&embedding.h, part)
+    }
+
+    fn gaussians_part(&mut self, tokens: &[f32], part: &[u32]) -> Result<StaticGaussians, ModelError> {
+        self.network.static_head_part(tokens, part)
+    }
+
     fn draws_positions(&self) -> bool {
         self.network.network().config().static_position == StaticPosition::TruncatedNormal
     }

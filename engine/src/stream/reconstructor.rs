@@ -77,6 +77,41 @@ pub trait Session: Send + Sync {
     /// Whatever the reconstructor refuses.
     fn gaussians(&mut self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError>;
 
+    /// Returns true if it is faster to compute a part of a frame's patches than all of them. The stream then calls
+    /// [`Session::embed_part`] and what follows it where it needs no others.
+    fn computes_parts(&self) -> bool {
+        false
+    }
+
+    /// [`Session::embed`] for the patches `part` of the frame (of [`Tiling::patch`] pixels, row by row, ascending). The
+    /// result serves [`Session::upsample_part`] of the same patches alone. By default everything is computed.
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn embed_part(&mut self, frame: &FrameInput<'_>, part: &[u32]) -> Result<Embedding, ModelError> {
+        let _ = part;
+        self.embed(frame)
+    }
+
+    /// [`Session::upsample`] after [`Session::embed_part`], for [`Session::gaussians_part`].
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn upsample_part(&mut self, embedding: &Embedding, part: &[u32]) -> Result<Vec<f32>, ModelError> {
+        let _ = part;
+        self.upsample(embedding)
+    }
+
+    /// [`Session::gaussians`] at the mean after [`Session::upsample_part`]: as many Gaussians as of the whole frame. Those
+    /// of the patches `part` have the same bits, the others have no meaning.
+    ///
+    /// # Errors
+    /// Whatever the reconstructor refuses.
+    fn gaussians_part(&mut self, tokens: &[f32], part: &[u32]) -> Result<StaticGaussians, ModelError> {
+        let _ = part;
+        self.gaussians(tokens, &Sampling::Mean)
+    }
+
     /// Returns true if [`Session::gaussians`] depends on its [`Sampling`].
     fn draws_positions(&self) -> bool;
 

@@ -41,6 +41,52 @@ pub(super) struct Tile {
     /// The Gaussians that it keeps: their indices in its own arrays and in the frame's. `None`: all of them, and the
     /// frame has no others.
     places: Option<Vec<[u32; 2]>>,
+    /// Its grid of patches, where the model has one.
+    grid: Option<Grid>,
+}
+
+/// The patches of a tile.
+#[derive(Clone, Copy)]
+struct Grid {
+    /// Columns of patches.
+    columns: usize,
+    /// Cells along a patch's side.
+    cells: usize,
+    /// Patches.
+    count: usize,
+}
+
+impl Grid {
+    fn new(size: [usize; 2], Tiling { patch, cells, .. }: Tiling) -> Grid {
+        let [rows, columns] = size.map(|side| side / patch);
+        Grid { columns, cells, count: rows * columns }
+    }
+
+    /// The patch of a cell.
+    fn patch(self, cell: usize) -> usize {
+        let (y, x) = (cell / (self.columns * self.cells), cell % (self.columns * self.cells));
+        y / self.cells * self.columns + x / self.cells
+    }
+}
+
+/// What of a tile must be computed.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Part {
+    Nothing,
+    /// These patches, ascending.
+    Patches(Vec<u32>),
+    Everything,
+}
+
+impl Part {
+    /// Returns true if this contains `other`.
+    pub(super) fn contains(&self, other: &Part) -> bool {
+        match (self, other) {
+            (Part::Everything, _) | (_, Part::Nothing) => true,
+            (Part::Patches(own), Part::Patches(others)) => others.iter().all(|patch| own.binary_search(patch).is_ok()),
+            _ => false,
+        }
+    }
 }
 
 /// All tiles of a frame, row by row.
@@ -63,10 +109,12 @@ impl Tiles {
     pub(super) fn new(model: &Arc<dyn Reconstructor>, resolution: [usize; 2], saving: Option<Saving>) -> Option<Self> {
         if resolution == model.resolution() {
             let session = model.clone().session(saving);
-            let whole = Tile { session, origin: [0; 2], size: resolution, places: None };
+            let grid = model.tiling().map(|tiling| Grid::new(resolution, tiling));
+            let whole = Tile { session, origin: [0; 2], size: resolution, places: None, grid };
             return Some(Self { resolution, tiles: vec![whole], ignores_depth: model.ignores_depth() });
         }
-        let Tiling { patch, cells, partial } = model.tiling()?;
+        let tiling = model.tiling()?;
+        let Tiling { patch, cells, partial } = tiling;
         if resolution.iter().any(|side| *side == 0 || side % patch != 0) {
             return None;
         }
@@ -100,6 +148,7 @@ impl Tiles {
                     origin: [row.seen.start * patch, column.seen.start * patch],
                     size,
                     places: Some(places.collect()),
+                    grid: Some(Grid::new(size, tiling)),
                 });
             }
         }
@@ -111,12 +160,39 @@ impl Tiles {
         self.ignores_depth
     }
 
-    /// Returns true if `wanted` holds for a cell of tile `at`; it is indexed by the frame's cells.
-    pub(super) fn has(&self, at: usize, wanted: &[bool]) -> bool {
-        match &self.tiles[at].places {
-            None => wanted.contains(&true),
-            Some(places) => places.iter().any(|[_, to]| wanted[*to as usize]),
+    /// The patches of tile `at` that contain Gaussians which it keeps and which are `wanted` (`None`: all), indexed by
+    /// the frame's cells.
+    pub(super) fn part(&self, at: usize, wanted: Option<&[bool]>) -> Part {
+        let tile = &self.tiles[at];
+        let wanted = |cell: usize| wanted.is_none_or(|wanted| wanted[cell]);
+        let Some(grid) = tile.grid else { return Part::Everything };
+        let mut marks = vec![false; grid.count];
+        match &tile.places {
+            None => (0..grid.count * grid.cells.pow(2))
+                .filter(|cell| wanted(*cell))
+                .for_each(|cell| marks[grid.patch(cell)] = true),
+            Some(places) => places
+                .iter()
+                .filter(|[_, to]| wanted(*to as usize))
+                .for_each(|[own, _]| marks[grid.patch(*own as usize)] = true),
         }
+        let patches: Vec<u32> = (0..grid.count as u32).filter(|patch| marks[*patch as usize]).collect();
+        match patches.len() {
+            0 => Part::Nothing,
+            count if count == grid.count => Part::Everything,
+            _ => Part::Patches(patches),
+        }
+    }
+
+    /// The numbers of patches of tile `at` that are computed and left out with `part`; zeros where the model has none.
+    pub(super) fn computed(&self, at: usize, part: &Part) -> [u64; 2] {
+        let all = self.tiles[at].grid.map_or(0, |grid| grid.count as u64);
+        let done = match part {
+            Part::Nothing => 0,
+            Part::Patches(patches) => patches.len() as u64,
+            Part::Everything => all,
+        };
+        [done, all - done]
     }
 
     /// Composes the frame's Gaussians from those of its tiles; cells of tiles without Gaussians have
@@ -229,6 +305,32 @@ fn spans(total: usize, most: usize, partial: bool) -> Option<Vec<Span>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_wanted_patch_is_computed_in_one_tile() {
+        let model = crate::stream::ModelSource::Embedded.load(&Default::default()).unwrap();
+        let tiles = Tiles::new(&model, [288, 512], None).unwrap();
+        let (rows, columns) = (144, 256);
+        let of = |part: &Part| match part {
+            Part::Nothing => 0,
+            Part::Patches(patches) => patches.len(),
+            Part::Everything => panic!("every tile has a neighbour"),
+        };
+        let count = |wanted: Option<&[bool]>| (0..9).map(|at| of(&tiles.part(at, wanted))).collect::<Vec<_>>();
+        assert_eq!(count(None).iter().sum::<usize>(), 36 * 64);
+        let mut wanted = vec![false; rows * columns];
+        assert_eq!(count(Some(&wanted)), [0; 9]);
+        // Two cells of the last patch; and one of the patch to the right of the frame's first.
+        (wanted[rows * columns - 1], wanted[(rows - 4) * columns + columns - 4], wanted[3 * columns + 4]) =
+            (true, true, true);
+        assert_eq!(count(Some(&wanted)), [1, 0, 0, 0, 0, 0, 0, 0, 1]);
+        assert_eq!(tiles.part(0, Some(&wanted)), Part::Patches(vec![1]));
+        let Part::Patches(last) = tiles.part(8, Some(&wanted)) else { panic!() };
+        assert_eq!(last[0] as usize, tiles.tiles[8].grid.unwrap().count - 1);
+        assert!(Part::Patches(vec![1, 5]).contains(&Part::Patches(vec![5])));
+        assert!(!Part::Patches(vec![1, 5]).contains(&Part::Patches(vec![5, 6])));
+        assert!(!Part::Patches(vec![1]).contains(&Part::Everything) && Part::Everything.contains(&Part::Nothing));
+    }
 
     #[test]
     fn tiles_keep_every_patch_once_and_see_what_they_keep() {

@@ -45,10 +45,11 @@ pub(crate) enum Stage {
     Fusion,
     Colours,
     Still,
+    Patches,
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 16] = [
+    const ALL: [(Stage, &'static str, &'static str); 17] = [
         (Stage::Fit, "fit", "frames"),
         (Stage::Encoder, "encoder", "tiles"),
         (Stage::Upsampler, "upsampler", "tiles"),
@@ -65,6 +66,7 @@ impl Stage {
         (Stage::Fusion, "fusion", "intervals"),
         (Stage::Colours, "colours", "steps"),
         (Stage::Still, "still", "blocks"),
+        (Stage::Patches, "patches", "patches"),
     ];
 }
 

@@ -7,7 +7,7 @@ use streamsplat_kernels::gemm::Precision;
 use super::{Bias, HEAD, Linear, RmsNorm, Workspace, sized};
 use crate::ModelError;
 use crate::checkpoint::Weights;
-use crate::reuse::keep_heads;
+use crate::reuse::{gather, keep_heads};
 
 fn shape(d: usize, windows: Windows) -> Shape {
     Shape { heads: d / HEAD, width: HEAD, windows }
@@ -98,6 +98,32 @@ impl SelfAttention {
         let mixed = sized(&mut work.mixed, x.len());
         attend_kept(self.out_proj.precision(), level, shape(d, windows), at, qkv, kept, mixed);
         self.out_proj.accumulate(level, mixed, x);
+    }
+
+    /// [`SelfAttention::accumulate`] without a cache for the tokens `part` alone: `x` holds all tokens, `rows` those of
+    /// `part`, which are added to.
+    pub(crate) fn accumulate_part(
+        &self,
+        level: Level,
+        windows: Windows,
+        part: &[u32],
+        x: &[f32],
+        rows: &mut [f32],
+        work: &mut Workspace,
+    ) {
+        let d = self.out_proj.k();
+        let qkv = sized(&mut work.projected, 3 * x.len());
+        self.packed_proj.heads_of_normed(level, self.norm.norm(), x, qkv);
+        let (all, keys_values) = qkv.split_at(x.len());
+        let q = sized(&mut work.keys_values, rows.len());
+        for (from, to) in all.chunks_exact(x.len() / d * HEAD).zip(q.chunks_exact_mut(part.len() * HEAD)) {
+            gather(part, from, HEAD, to);
+        }
+        let mixed = sized(&mut work.mixed, rows.len());
+        let q = Rows::of_heads(q, part.len(), HEAD, 0);
+        let [k, v] = [0, 1].map(|half| Rows::of_heads(keys_values, x.len() / d, HEAD, half * d / HEAD));
+        attend_some(self.out_proj.precision(), level, shape(d, windows), part, q, k, v, mixed);
+        self.out_proj.accumulate(level, mixed, rows);
     }
 
     pub(crate) fn bytes(&self) -> usize {

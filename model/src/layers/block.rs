@@ -6,7 +6,7 @@ use streamsplat_kernels::attention::Windows;
 use super::{FeedForward, SelfAttention, Workspace, add_zero};
 use crate::ModelError;
 use crate::checkpoint::Weights;
-use crate::reuse::{BlockCache, Rows};
+use crate::reuse::{BlockCache, Rows, gather};
 
 /// `x += attention(norm₁(x))`, `x += feed_forward(norm₂(x))`; a zero-output branch is `None`.
 #[derive(Clone)]
@@ -38,6 +38,26 @@ impl Block {
         match &self.mlp {
             Some(mlp) => mlp.accumulate(level, self.attn.is_none(), &mut rows.x),
             None => add_zero(&mut rows.x),
+        }
+    }
+
+    /// [`Block::apply`] to all tokens `x` without a cache, for the tokens `part` alone: `rows` become their values.
+    pub(crate) fn apply_part(
+        &self,
+        level: Level,
+        windows: Windows,
+        part: &[u32],
+        x: &[f32],
+        rows: &mut [f32],
+        work: &mut Workspace,
+    ) {
+        gather(part, x, rows.len() / part.len(), rows);
+        if let Some(attn) = &self.attn {
+            attn.accumulate_part(level, windows, part, x, rows, work);
+        }
+        match &self.mlp {
+            Some(mlp) => mlp.accumulate(level, self.attn.is_none(), rows),
+            None => add_zero(rows),
         }
     }
 

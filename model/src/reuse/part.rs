@@ -173,6 +173,11 @@ impl<'a> Pass<'a> {
         }
     }
 
+    /// A call that keeps nothing.
+    pub(crate) fn without_cache(level: Level) -> Pass<'a> {
+        Pass { level, cache: None }
+    }
+
     /// Returns true if this call keeps its results.
     pub(crate) fn keeps(&self) -> bool {
         self.cache.is_some()

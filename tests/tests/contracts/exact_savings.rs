@@ -3,6 +3,7 @@
 //! | left out | `work` in `run.json` | without it |
 //! |---|---|---|
 //! | the network on a repeated frame | `encoder`, `upsampler`, `heads`, `dinov2`, `decoder` | `--reuse off`: `stream_reuse.rs` |
+//! | patches that a tile only borrows from its neighbours, or whose Gaussians are all kept | `patches` | all patches: here |
 //! | residual branches that add nothing | `encoder.branches`, `upsampler.branches`, `decoder.branches` | `--reuse off`: here |
 //! | DINOv2, where the model is not conditioned on it | `dinov2` | never opened: here |
 //! | depth without maps | none: no file is looked for | a map of zeros: here |
@@ -17,11 +18,12 @@
 use streamsplat::camera::{Lens, Pose};
 use streamsplat::render::Renderer;
 use streamsplat::still::{Drawable, Still};
-use streamsplat::stream::{DynamicGaussians, Fade, ModelSource, Reuse, Workers};
+use streamsplat::stream::{DynamicGaussians, EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, Fade, ModelSource, Reuse, Workers};
 use streamsplat::{Camera, Engine, Frame, Interval, RenderOptions, Settings, Size};
 use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::{Gaussians, Image, OwnedGaussians, Projection, Rasteriser, Request, render};
-use streamsplat_model::{FrameInput, LoadOptions, Network};
+use streamsplat_model::reuse::Saving;
+use streamsplat_model::{FrameInput, LoadOptions, Network, Precision, Sampling, StaticGaussian};
 
 fn checkpoint(name: &str) -> std::path::PathBuf {
     streamsplat_fixtures::path(&format!("parity/{name}"))
@@ -265,6 +267,84 @@ fn rotations_by_nothing_are_not_computed_with() {
     let still = vec![[1.0, 0.0, 0.0, 0.0]; scene.mean.len()];
     let gaussians = Gaussians { rotation: Some(&still), ..scene.gaussians() };
     assert!(bits(&render(Level::detect(), &gaussians, &VIEW, &request())) == expected);
+}
+
+/// Patches of a frame through embedding, upsampler and head: their Gaussians' bits do not depend on which others are
+/// computed.
+#[test]
+fn some_patches_of_a_frame_have_the_bits_of_all() {
+    let levels = Level::available();
+    for precision in [Precision::F32, Precision::Bf16, Precision::Int8] {
+        for &level in &levels {
+            let options = LoadOptions { level, precision, ..LoadOptions::default() };
+            let network = Network::from_parts(EMBEDDED_CHECKPOINT, EMBEDDED_CONFIG, &options).expect("loads");
+            let network = network.on_grid([5, 7]).expect("a part of its grid");
+            let rgb: Vec<f32> = (0..3 * 40 * 56).map(|i| (i * 7919 % 1013) as f32 / 1012.0).collect();
+            let frame = FrameInput { rgb: &rgb, depth: None };
+            let mut session = network.session(None);
+            assert!(session.computes_parts());
+            let embedding = session.embed(&frame).expect("an embedding");
+            let all = session.static_gaussians(&embedding, &Sampling::Mean).expect("Gaussians").gaussians;
+            let every: Vec<u32> = (0..35).collect();
+            for part in [&every, &vec![0], &vec![34], &vec![3, 4, 11, 20, 33], &every[7..28].to_vec()] {
+                let h = session.embed_part(&frame, part).expect("rows").h;
+                assert_eq!(h.len(), part.len() * network.config().hidden_dim);
+                let tokens = session.upsample_static_part(&h, part).expect("tokens");
+                assert_eq!(tokens.len(), 16 * part.len() * network.config().gaussian_dim());
+                let some = session.static_head_part(&tokens, part).expect("Gaussians");
+                assert_eq!(some.len(), all.len());
+                for cell in 0..all.len() {
+                    let patch = (cell / 28 / 4 * 7 + cell % 28 / 4) as u32;
+                    let expected = if part.contains(&patch) { all.get(cell) } else { StaticGaussian::default() };
+                    assert_eq!(some.get(cell), expected, "{level:?} {precision:?}: cell {cell} of {part:?}");
+                }
+            }
+            assert!(session.embed_part(&frame, &[35]).is_err(), "outside of the grid");
+            assert!(session.embed_part(&frame, &[2, 2]).is_err(), "twice");
+        }
+    }
+}
+
+/// A frame of four times the model's area goes through it in nine tiles of 14×24 patches or less, which overlap. The
+/// decoder reads every token of a tile.
+#[test]
+fn patches_in_an_overlap_are_computed_once() {
+    let resolution = streamsplat::stream::Resolution::Exact([288, 512]);
+    let rgb: Vec<f32> = (0..3 * 288 * 512).map(|i| (i * 7919 % 1013) as f32 / 1012.0).collect();
+    let frame = || Frame { width: 512, height: 288, rgb: rgb.clone(), depth: None };
+    let work = |fade: Fade| {
+        let settings = Settings { resolution: Some(resolution), fade: Some(fade), ..Settings::default() };
+        let mut engine = Engine::new(settings).expect("starts");
+        let scene = engine.push(frame(), 0.0).expect("taken");
+        let patches = engine.work().stage("patches").expect("counted").clone();
+        engine.push(frame(), 1.0).expect("taken");
+        let again = engine.work().stage("patches").expect("counted").clone();
+        assert_eq!([again.done, again.avoided], [patches.done, 2 * patches.avoided + patches.done]);
+        (scene, [patches.done, patches.avoided])
+    };
+    let (some, [done, avoided]) = work(Fade::Fixed);
+    assert_eq!([done, done + avoided], [36 * 64, 40 * 68]);
+    let (all, counted) = work(Fade::Network);
+    assert_eq!(counted, [40 * 68, 0]);
+    assert!(some.gaussians.mean == all.gaussians.mean && some.gaussians.rgb == all.gaussians.rgb);
+}
+
+/// Windows of the upsampler mix patches, and a cache needs all of them: then everything is computed.
+#[test]
+fn networks_that_mix_patches_compute_all_of_them() {
+    let network = Network::open(checkpoint("tiny-nodino.safetensors"), &LoadOptions::default()).expect("loads");
+    let [height, width] = network.config().resolution;
+    let rgb: Vec<f32> = (0..3 * height * width).map(|i| (i % 251) as f32 / 251.0).collect();
+    let frame = FrameInput { rgb: &rgb, depth: None };
+    for saving in [None, Some(Saving::Within(0.02))] {
+        let [mut all, mut some] = [saving; 2].map(|saving| network.session(saving));
+        assert!(!some.computes_parts());
+        let embedding = all.embed(&frame).expect("an embedding");
+        let expected = all.static_gaussians(&embedding, &Sampling::Mean).expect("Gaussians").gaussians;
+        let h = some.embed_part(&frame, &[1]).expect("an embedding").h;
+        let tokens = some.upsample_static_part(&h, &[1]).expect("tokens");
+        assert!(some.static_head_part(&tokens, &[1]).expect("Gaussians") == expected);
+    }
 }
 
 #[test]
