@@ -59,10 +59,13 @@ node_with() {
   cp "$2/package-lock.json" "$home/installed"
 }
 
-# program: the release build of the command line; it is then $streamsplat. Where STREAMSPLAT_TESTED is set, `cargo test --workspace` has just built it.
+# program: the release build of the command line; it is then $streamsplat. Where STREAMSPLAT_TESTED is set, `cargo test --workspace` has just built it; if it
+# names a folder, the programs are there.
 program() {
+  local built=${CARGO_TARGET_DIR:-$PWD/target}/release
   [ -n "${STREAMSPLAT_TESTED:-}" ] || cargo build --release --locked --quiet
-  streamsplat=${CARGO_TARGET_DIR:-$PWD/target}/release/streamsplat
+  [ ! -d "${STREAMSPLAT_TESTED:-}" ] || built=$STREAMSPLAT_TESTED
+  streamsplat=$built/streamsplat
 }
 
 # package PYTHON: builds the wheel of the Python package with that interpreter, unless no source changed since the last time; it is then $wheel. Cargo would

@@ -102,8 +102,8 @@ pub trait Session: Send + Sync {
         self.upsample(embedding)
     }
 
-    /// [`Session::gaussians`] at the mean after [`Session::upsample_part`]: as many Gaussians as of the whole frame. Those
-    /// of the patches `part` have the same bits, the others have no meaning.
+    /// [`Session::gaussians`] at the mean after [`Session::upsample_part`]: as many Gaussians as of the whole frame.
+    /// Those of the patches `part` have the same bits, the others have no meaning.
     ///
     /// # Errors
     /// Whatever the reconstructor refuses.

@@ -75,7 +75,7 @@ impl Sampler {
         for (values, rows) in values.iter_mut().zip(&rows) {
             let row: [u32; LANES] = std::array::from_fn(|i| rows[i] as u32 * self.stride as u32 + columns[0][i] as u32);
             if apart == 0 {
-                // SAFETY: rows and columns, the last ones too, are those of the picture, whose last value the plane has.
+                // SAFETY: rows and columns, the last ones too, are those of the picture. The plane has its last value.
                 *values = unsafe { s.gather_fours(plane.as_ptr(), &row) };
                 continue;
             }
