@@ -316,9 +316,9 @@ fn patches_in_an_overlap_are_computed_once() {
         let settings = Settings { resolution: Some(resolution), fade: Some(fade), ..Settings::default() };
         let mut engine = Engine::new(settings).expect("starts");
         let scene = engine.push(frame(), 0.0).expect("taken");
-        let patches = engine.work().stage("patches").expect("counted").clone();
+        let patches = *engine.work().stage("patches").expect("counted");
         engine.push(frame(), 1.0).expect("taken");
-        let again = engine.work().stage("patches").expect("counted").clone();
+        let again = *engine.work().stage("patches").expect("counted");
         assert_eq!([again.done, again.avoided], [patches.done, 2 * patches.avoided + patches.done]);
         (scene, [patches.done, patches.avoided])
     };
