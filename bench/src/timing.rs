@@ -118,12 +118,11 @@ pub fn processor_seconds() -> Option<f64> {
     None
 }
 
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests {
     use super::*;
 
     #[test]
-    #[cfg(unix)]
     fn work_takes_time_also_in_a_thread_that_ended() {
         let time = processor_seconds().unwrap();
         std::thread::spawn(|| std::hint::black_box((0..10_000_000u64).map(std::hint::black_box).sum::<u64>()))
