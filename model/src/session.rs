@@ -102,7 +102,7 @@ impl<N: Borrow<Network>> Session<N> {
     /// for them. If [`Session::computes_parts`], only these rows, `[part, D]`, otherwise those of all patches.
     ///
     /// # Errors
-    /// As [`Session::embed`], and when a patch is not of the grid.
+    /// As [`Session::embed`], and when there is no patch, or one that is not of the grid.
     pub fn embed_part(&mut self, frame: &FrameInput<'_>, part: &[u32]) -> Result<Embedding, ModelError> {
         if !self.computes_parts() {
             return self.embed(frame);
@@ -299,12 +299,12 @@ impl<N: Borrow<Network>> Session<N> {
 
     fn check_part(&self, part: &[u32]) -> Result<(), ModelError> {
         let n = self.network().config.tokens();
-        let ascends = part.is_sorted_by(|a, b| a < b) && part.last().is_none_or(|last| (*last as usize) < n);
+        let ascends = part.is_sorted_by(|a, b| a < b) && part.last().is_some_and(|last| (*last as usize) < n);
         match ascends {
             true => Ok(()),
             false => Err(ModelError::Input {
                 input: "part".to_owned(),
-                expected: format!("ascending patches of {n}"),
+                expected: format!("at least one of {n} patches, ascending"),
                 found: format!("{} up to {:?}", part.len(), part.iter().max()),
             }),
         }

@@ -299,6 +299,7 @@ fn some_patches_of_a_frame_have_the_bits_of_all() {
                     assert_eq!(some.get(cell), expected, "{level:?} {precision:?}: cell {cell} of {part:?}");
                 }
             }
+            assert!(session.embed_part(&frame, &[]).is_err(), "no patch");
             assert!(session.embed_part(&frame, &[35]).is_err(), "outside of the grid");
             assert!(session.embed_part(&frame, &[2, 2]).is_err(), "twice");
         }
