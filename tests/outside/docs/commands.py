@@ -145,10 +145,16 @@ def serve(command: str, scratch: Path, environment: dict[str, str]) -> str | Non
     return None if b"<html" in page and code == 0 else f"said {said!r}, served {len(page)} bytes, exit code {code}"
 
 
+# Seconds that each command took, and the command.
+TOOK: list[tuple[float, str]] = []
+
+
 def run(command: str, scratch: Path, environment: dict[str, str]) -> str | None:
     """Runs a command to its end; returns the error, if any."""
+    began = time.monotonic()
     result = subprocess.run(["bash", "-ec", f"set -o pipefail; {command}"], cwd=scratch, env=environment,
                             stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    TOOK.append((time.monotonic() - began, command))
     return f"exit code {result.returncode}: {result.stderr.strip()[-600:]}" if result.returncode else None
 
 
@@ -201,7 +207,9 @@ def main() -> int:
     stale = (REPLACED.keys() | ELSEWHERE.keys()) - used
     if stale:
         print(f"in a table of commands.py, on no page: {', '.join(sorted(stale))}")
-    print(f"{ran} commands, {failed} failed")
+    print(f"{ran} commands, {failed} failed; the longest:")
+    for seconds, command in sorted(TOOK, reverse=True)[:10]:
+        print(f"{seconds:6.1f} s  {command}")
     return 1 if failed or stale or ran < 10 else 0
 
 
