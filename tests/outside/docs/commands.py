@@ -95,9 +95,20 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
     tools.mkdir()
     (tools / "streamsplat").symlink_to(program)
     (tools / "streamsplat-bench").symlink_to(program.with_name("streamsplat-bench"))
-    # `cargo run -- …` runs the built program here; every other cargo command runs in the repository.
+    # `cargo run -- …` runs the built program here, and `-p streamsplat-fixtures` one built with the workspace, whose libraries exist: alone it has others. Every
+    # other cargo command runs in the repository.
     cargo = shutil.which("cargo")
-    shim = f'#!/bin/sh\nif [ "$1 $2 $3" = "run --release --" ]; then shift 3; exec {program} "$@"; fi\ncd {root} && exec {cargo} "$@"\n'
+    shim = f"""#!/bin/sh
+case "$*" in
+"run --release -- "*) shift 3; exec {program} "$@" ;;
+"run --release -p streamsplat-fixtures -- "*)
+  shift 5
+  cd {root} && {cargo} build --release --locked --quiet --workspace --bin streamsplat-fixtures
+  exec "${{CARGO_TARGET_DIR:-target}}/release/streamsplat-fixtures" "$@"
+  ;;
+*) cd {root} && exec {cargo} "$@" ;;
+esac
+"""
     (tools / "cargo").write_text(shim)
     (tools / "cargo").chmod(0o755)
     return {**os.environ, "PATH": f"{tools}:{os.environ['PATH']}"}
