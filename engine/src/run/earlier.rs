@@ -8,10 +8,11 @@ use crate::run::outputs::is_inside;
 use crate::run::record::Record;
 use crate::run::{Error, digest, ledger, resume_state};
 
-/// Removes the files listed by an earlier run in `folder`, complete or stopped, and then its lists, so that old and new
-/// results never mix. A listed file is removed only if its length and digest are unchanged; nothing is reached through
-/// a link.
-pub fn remove_earlier(folder: &Path) -> Result<(), Error> {
+/// Finds the files listed by an earlier run in `folder`, complete or stopped, in the order in which
+/// [`remove_earlier`] removes them. A listed file counts only if its length and digest are unchanged, and nothing is
+/// reached through a link.
+pub fn find_earlier(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let mut found = Vec::new();
     let record = folder.join("run.json");
     // A record that is empty, after a power loss or by hand, lists nothing.
     let emptied = std::fs::symlink_metadata(&record).is_ok_and(|found| found.is_file() && found.len() == 0);
@@ -20,15 +21,14 @@ pub fn remove_earlier(folder: &Path) -> Result<(), Error> {
             .map_err(|e| Error::work(format!("{}; the folder holds something else, give another --out", e)))?;
         for (name, output) in &earlier.outputs {
             if is_as_written(folder, name, output.bytes, &output.blake3)? {
-                remove_file(&folder.join(name))?;
+                found.push(folder.join(name));
             }
         }
     }
-    let resume = folder.join("resume");
-    let lines = ledger::all(&resume);
+    let lines = ledger::all(&folder.join("resume"));
     for line in &lines {
         if is_as_written(folder, &line.file, line.bytes, &line.blake3)? {
-            remove_file(&folder.join(&line.file))?;
+            found.push(folder.join(&line.file));
         }
     }
     if !lines.is_empty() {
@@ -37,13 +37,18 @@ pub fn remove_earlier(folder: &Path) -> Result<(), Error> {
         let names = lines.iter().map(|line| PathBuf::from(&line.file)).chain([index.clone()]);
         let mut files: Vec<PathBuf> = names.map(|name| partial_name(&name)).collect();
         files.push(index);
-        for file in files.iter().filter(|file| is_file_inside(folder, file)) {
-            remove_file(&folder.join(file))?;
-        }
+        found.extend(files.iter().filter(|file| is_file_inside(folder, file)).map(|file| folder.join(file)));
     }
-    resume_state::remove(&resume)?;
+    Ok(found)
+}
+
+/// Removes what an earlier run left in `folder`: the files `found`, and then its lists, so that old and new results
+/// never mix.
+pub fn remove_earlier(folder: &Path, found: &[PathBuf]) -> Result<(), Error> {
+    found.iter().try_for_each(|file| remove_file(file))?;
+    resume_state::remove(&folder.join("resume"))?;
     // The record goes last, so that an interrupted removal can be completed later.
-    [folder.join("report.md"), record].iter().try_for_each(|file| remove_file(file))?;
+    [folder.join("report.md"), folder.join("run.json")].iter().try_for_each(|file| remove_file(file))?;
     storage::sync_folder(folder).map_err(|cause| OutputError::Write { path: folder.to_owned(), cause })?;
     Ok(())
 }

@@ -59,6 +59,7 @@ use crate::output::storage;
 use crate::source::{self, MEMORY, Source};
 use crate::stream::Interval;
 use crate::{Image, Size};
+use options::DepthSource;
 use outputs::Emit;
 use place::Place;
 use record::{Build, check_name};
@@ -241,6 +242,9 @@ impl Run {
             }
             return Ok(Running(State::Before(record)));
         }
+        if let Some(place) = &place {
+            refuse_inputs(&input, place.destination(), &options)?;
+        }
         if let Some(place) = place.as_ref().filter(|_| !resume && !overwrite) {
             refuse_others(&input, place.destination(), &options, given)?;
         }
@@ -316,12 +320,17 @@ impl Iterator for Running {
 /// Returns true if there is a file in the scene's place that no run to this destination wrote.
 fn is_anothers(scene: &Path, destination: &Destination) -> bool {
     let name = scene.file_name().unwrap_or_default().to_string_lossy();
-    let record = destination.record().filter(|path| storage::regular(path).is_ok());
-    let record = record.and_then(|path| Record::read(&path).ok());
-    storage::exists(scene) && record.is_none_or(|record| !record.outputs.contains_key(&*name))
+    storage::exists(scene) && record_at(destination).is_none_or(|record| !record.outputs.contains_key(&*name))
 }
 
-/// Returns an error where the place holds the complete results of another input or of other options.
+/// The record at a destination. One that cannot be read lists no results to keep.
+fn record_at(destination: &Destination) -> Option<Record> {
+    let path = destination.record().filter(|path| storage::regular(path).is_ok())?;
+    Record::read(&path).ok()
+}
+
+/// Returns an error where the place holds the complete results of another input or of other options, or a video that
+/// no run wrote.
 fn refuse_others(
     input: &Path,
     destination: &Destination,
@@ -329,7 +338,6 @@ fn refuse_others(
     given: impl FnOnce() -> Result<Terms, Error>,
 ) -> Result<(), Error> {
     let out = destination.path().display();
-    let record = destination.record().filter(|path| storage::regular(path).is_ok());
     let wants_scene = options.emit.is_some_and(|emit| emit.scene);
     if let Some(scene) = destination.container().filter(|scene| wants_scene && is_anothers(scene, destination)) {
         return Err(Error::usage(format!(
@@ -337,9 +345,20 @@ fn refuse_others(
             scene.display(),
         )));
     }
-    // A record that cannot be read, or that of a stopped run, lists no results to keep.
-    let record = record.and_then(|path| Record::read(&path).ok()).filter(|record| record.complete);
-    let Some(record) = record else { return Ok(()) };
+    let is_file = destination.is_video() && storage::regular(destination.path()).is_ok();
+    let Some(record) = record_at(destination) else {
+        return if is_file && destination.record().is_some_and(|record| !record.exists()) {
+            Err(Error::usage(format!(
+                "--out {out}: expected a free place, found a file that no run wrote; --overwrite replaces it"
+            )))
+        } else {
+            Ok(())
+        };
+    };
+    // A stopped run has no results to keep.
+    if !record.complete {
+        return Ok(());
+    }
     let given = given()?.built_as(&record);
     resume_state::check_complete(&record, input, &given).map_err(|_| {
         let of = record.input.path.display();
@@ -347,6 +366,41 @@ fn refuse_others(
             "--out {out}: expected a free place, found the results of another run (of {of}); --overwrite replaces them"
         ))
     })
+}
+
+/// Returns an error where a rendering would replace the results of a run, complete or stopped. Those of another
+/// rendering are replaced.
+///
+/// # Errors
+/// [`Error::Usage`] with the run's input.
+pub fn refuse_run(destination: &Destination) -> Result<(), Error> {
+    let of = match record_at(destination).map(|record| (record.task, record.input.path)) {
+        Some((record::Invocation::Run(_), input)) => format!(" of {}", input.display()),
+        _ if destination.resume().is_some_and(|folder| folder.exists()) => " that was stopped".to_owned(),
+        _ => return Ok(()),
+    };
+    let out = destination.path().display();
+    Err(Error::usage(format!("--out {out}: expected a free place, found a run{of}; give another --out")))
+}
+
+/// Returns an error where results would replace what they are made from: the input, or its depth maps.
+fn refuse_inputs(input: &Path, destination: &Destination, options: &RunOptions) -> Result<(), Error> {
+    let emit = options.emit.unwrap_or(Emit { rgb: true, scene: true, ..Emit::default() });
+    let places = match destination {
+        Destination::Folder(folder) => emit.folders().into_iter().map(|name| folder.join(name)).collect(),
+        Destination::Video(path, _) => vec![path.clone()],
+    };
+    let places: Vec<PathBuf> = places.iter().filter_map(|place| place.canonicalize().ok()).collect();
+    let maps = if let Some(DepthSource::Folder(maps)) = &options.stream.depth { Some(maps.as_path()) } else { None };
+    let replaced = |path: &&Path| path.canonicalize().is_ok_and(|path| places.contains(&path));
+    match [input].into_iter().chain(maps).find(replaced).filter(|_| destination.record().is_some()) {
+        Some(path) => Err(Error::usage(format!(
+            "--out {}: expected another place than the input's, found {}, which the results would replace",
+            destination.path().display(),
+            path.display()
+        ))),
+        None => Ok(()),
+    }
 }
 
 /// A place in the working directory, named after the input: a video where the input is an encoded one and only images

@@ -17,7 +17,7 @@ use crate::still::Still;
 use crate::stream::{Interval, ResumePoint, Snapshot, Workers};
 
 pub use crate::run::destination::Destination;
-use crate::run::earlier::{remove_earlier, remove_file};
+use crate::run::earlier::{find_earlier, remove_earlier, remove_file};
 pub use crate::run::emit::{Emit, UnknownOutput};
 use crate::run::ledger::Ledger;
 use crate::run::place::Place;
@@ -47,6 +47,10 @@ pub struct Outputs {
     quality: Option<u8>,
     /// Folders of kinds that were created for these results.
     made: Vec<PathBuf>,
+    /// Files of an earlier run in the folder, until the first file is written.
+    earlier: Option<Vec<PathBuf>>,
+    /// Frames per second of the scene.
+    fps: f64,
 }
 
 /// Results of a finished output.
@@ -59,14 +63,15 @@ pub struct Finished {
 }
 
 impl Outputs {
-    /// Prepares the place: removes results of an earlier run there, and fails early if the place cannot be written.
+    /// Prepares the place, and fails early if it cannot be written. The results of an earlier run there are removed
+    /// before the first file is written.
     pub fn create(place: &mut Place, emit: Emit) -> Result<Outputs, Error> {
         place.hold()?;
         let destination = place.destination().clone();
-        let mut made = Vec::new();
+        let (mut made, mut earlier) = (Vec::new(), None);
         match &destination {
             Destination::Folder(folder) => {
-                remove_earlier(folder)?;
+                earlier = Some(find_earlier(folder)?);
                 made.extend(emit.folders().into_iter().map(|name| folder.join(name)).filter(|path| !path.exists()));
                 prepare_kinds(folder, emit)?;
             }
@@ -88,7 +93,7 @@ impl Outputs {
                 }
             }
         }
-        Ok(Outputs { made, ..Outputs::new(destination, emit) })
+        Ok(Outputs { made, earlier, ..Outputs::new(destination, emit) })
     }
 
     /// Releases the place, and removes the folders that were created for it and are empty.
@@ -117,6 +122,8 @@ impl Outputs {
             sound,
             quality,
             made: Vec::new(),
+            earlier: None,
+            fps: 0.0,
         }
     }
 
@@ -229,10 +236,8 @@ impl Outputs {
 
     /// Opens the outputs that depend on the frame rate: `fps` is that of the scene, `pace` that of the images.
     pub fn start(&mut self, fps: f64, pace: Pace) -> Result<(), Error> {
+        self.fps = fps;
         match &self.destination {
-            Destination::Folder(folder) if self.emit.scene => {
-                self.scene = Some(SceneWriter::create(&folder.join("scene"), fps)?);
-            }
             Destination::Folder(_) => {}
             Destination::Video(path, format) => {
                 let video = Video::create(path, *format, pace)?;
@@ -245,13 +250,25 @@ impl Outputs {
         Ok(())
     }
 
+    /// Removes the results of an earlier run, if that is still to be done, and begins the scene.
+    fn replace_earlier(&mut self) -> Result<(), Error> {
+        if let (Destination::Folder(folder), Some(earlier)) = (&self.destination, self.earlier.take()) {
+            remove_earlier(folder, &earlier)?;
+            if self.emit.scene {
+                self.scene = Some(SceneWriter::create(&folder.join("scene"), self.fps)?);
+            }
+        }
+        Ok(())
+    }
+
     fn note(&mut self, name: String, written: Written) {
         let Written { bytes, blake3 } = written;
         self.written.insert(name, OutputRecord { bytes, blake3, samples: None, outside_contract: false });
     }
 
     /// Writes a file inside the folder.
-    fn file(&mut self, name: String, bytes: &[u8]) -> Result<(), OutputError> {
+    fn file(&mut self, name: String, bytes: &[u8]) -> Result<(), Error> {
+        self.replace_earlier()?;
         let Destination::Folder(folder) = &self.destination else { return Ok(()) };
         let written = Written::of(bytes);
         if let Some(ledger) = &mut self.ledger {
@@ -265,6 +282,7 @@ impl Outputs {
     /// Writes an interval of the scene with the times of its `frames`, and the positions of its identities, if
     /// requested. `workers` encode a container.
     pub fn interval(&mut self, interval: &Interval, frames: &[f64], workers: &Workers) -> Result<(), Error> {
+        self.replace_earlier()?;
         if self.emit.tracks {
             self.file(
                 format!("tracks/interval-{:06}.csv", interval.index),
@@ -325,7 +343,7 @@ impl Outputs {
 
     /// Writes the Gaussians of one time as number `index`.
     pub fn snapshot(&mut self, index: usize, snapshot: &Snapshot) -> Result<(), Error> {
-        Ok(self.file(format!("ply/{index:06}.ply"), &formats::ply::write(&Still::of(snapshot)).bytes)?)
+        self.file(format!("ply/{index:06}.ply"), &formats::ply::write(&Still::of(snapshot)).bytes)
     }
 
     /// Ends after a failure: completes the index of the intervals that were written. A y4m file keeps its temporary
@@ -343,6 +361,7 @@ impl Outputs {
 
     /// Completes scene and video.
     pub fn finish(mut self) -> Result<Finished, Error> {
+        self.replace_earlier()?;
         let mut notes = Vec::new();
         if let Some(scene) = self.scene.take()
             && let Some((name, written)) = scene.finish()?

@@ -182,6 +182,7 @@ pub fn render(
     }
     times::check_rate(options.fps)?;
     place.destination().check_crf(options.crf)?;
+    run::refuse_run(place.destination())?;
     let workers = machine.workers()?;
     let scene = match open_along(path, &options.limit.limits(), options.reading.axes()?, Some(&workers), console)? {
         Opened::Moving(scene) => scene,

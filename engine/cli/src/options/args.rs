@@ -355,7 +355,7 @@ pub struct ViewArgs {
     /// A name that browsers may use for this machine, in addition to addresses and localhost; can be repeated
     #[arg(long, value_name = "NAME")]
     pub allow_host: Vec<String>,
-    /// Serve nothing: write the page with the scene in it as this file, which opens by itself
+    /// Serve nothing: write the page with the scene in it as this .html file, which opens by itself
     #[arg(long, value_name = "FILE", conflicts_with_all = ["port", "host", "allow_host"])]
     pub html: Option<PathBuf>,
     /// Address of the page of --html on the web, for the tags of link previews; its poster is FILE.png next to it

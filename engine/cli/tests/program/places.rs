@@ -53,6 +53,80 @@ fn finished_results_of_another_run_are_replaced_only_when_asked() {
     }
 }
 
+#[test]
+fn a_rendering_replaces_no_run_and_none_of_its_own_before_it_succeeds() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 3, 40, 24);
+    let (out, other, drawn) = (scratch.path("out"), scratch.path("other"), scratch.path("drawn"));
+    run_ok(&clip, &out, &["--quiet"]);
+    run_ok(&clip, &other, &["--quiet"]);
+    let render = |scene: &Path, out: &Path, more: &[&str]| {
+        command().arg("render").arg(scene).arg("--out").arg(out).args(more).output().expect("the program starts")
+    };
+    let before = files(&out);
+    let refused = |scene: &Path, expected: &str| {
+        let said = fails(&render(scene, &out, &[]), 2);
+        assert!(said.contains("--out") && said.contains(expected), "{said}");
+        assert!(files(&out) == before && out.join("run.json").exists() == expected.starts_with('/'));
+    };
+    for scene in [&out, &out.join("scene"), &other] {
+        refused(scene, clip.to_str().expect("UTF-8"));
+    }
+    std::fs::remove_file(out.join("run.json")).expect("there");
+    std::fs::create_dir(out.join("resume")).expect("writable");
+    refused(&out, "a run that was stopped");
+
+    assert!(render(&other, &drawn, &[]).status.success());
+    let before = files(&drawn);
+    assert!(fails(&render(&other, &drawn, &["--size", "60000x60000"]), 1).contains("no memory"));
+    assert!(files(&drawn) == before && drawn.join("run.json").exists());
+    assert!(render(&other, &drawn, &["--times", "0"]).status.success());
+    assert_eq!(files(&drawn).len(), 1);
+}
+
+#[test]
+fn a_run_replaces_neither_its_input_nor_a_video_of_someone_else() {
+    let scratch = Scratch::new();
+    let input = scratch.path("a.y4m");
+    std::fs::copy(fixtures::path("clips/moving.y4m"), &input).expect("readable");
+    let frames = scratch.clip("p/frames", 3, 40, 24);
+    let maps = scratch.clip("p/depth", 3, 40, 24);
+    let depth = ["--emit", "depth", "--depth", maps.to_str().expect("UTF-8")];
+    let (before, video) = (files(&scratch.path("p")), std::fs::read(&input).expect("readable"));
+    for more in [&[][..], &["--overwrite"]] {
+        for (input, out, options) in [
+            (&input, scratch.path("./a.y4m"), &[][..]),
+            (&frames, scratch.path("p"), &[]),
+            (&scratch.path("p/../p/frames"), scratch.path("p"), &[]),
+            (&frames, scratch.path("p"), &depth),
+        ] {
+            let said = fails(&run(input, &out, &[options, more].concat()).output().expect("the program starts"), 2);
+            assert!(said.contains("expected another place than the input's"), "{said}");
+        }
+    }
+    assert!(files(&scratch.path("p")) == before && std::fs::read(&input).expect("readable") == video);
+    let other = scratch.path("b.y4m");
+    std::fs::write(&other, "mine").expect("writable");
+    let said = fails(&run(&frames, &other, &[]).output().expect("the program starts"), 2);
+    assert!(said.contains("a file that no run wrote; --overwrite"), "{said}");
+    assert_eq!(std::fs::read(&other).expect("there"), b"mine");
+    run_ok(&frames, &other, &["--overwrite", "--quiet"]);
+}
+
+#[test]
+fn results_stay_until_there_are_others() {
+    let scratch = Scratch::new();
+    let (clip, maps) = (scratch.clip("clip", 3, 40, 24), scratch.clip("maps", 3, 40, 24));
+    let out = scratch.path("out");
+    run_ok(&clip, &out, &["--quiet"]);
+    let (before, record) = (files(&out), std::fs::read(out.join("run.json")).expect("there"));
+    // Colour images are no depth maps.
+    let options = ["--overwrite", "--depth", maps.to_str().expect("UTF-8")];
+    let said = fails(&run(&clip, &out, &options).output().expect("the program starts"), 1);
+    assert!(said.contains("maps"), "{said}");
+    assert!(files(&out) == before && std::fs::read(out.join("run.json")).expect("there") == record);
+}
+
 /// Returns the record of a run to `out`.
 fn record_of(out: &Path) -> std::path::PathBuf {
     if out.is_dir() { out.join("run.json") } else { out.with_extension("y4m.run.json") }
