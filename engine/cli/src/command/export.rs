@@ -14,7 +14,7 @@ use crate::command::still;
 use crate::console::failure::Failure;
 use crate::console::opening::{open_along, say_of};
 use crate::console::progress::Progress;
-use crate::console::{Console, count, say};
+use crate::console::{Console, count, say, stop};
 use crate::options::args::ExportArgs;
 use crate::options::times;
 use streamsplat::run::options::Times;
@@ -165,14 +165,13 @@ pub fn command(args: &ExportArgs, console: &Console) -> Result<(), Failure> {
         console.note(&[format!("{}: the like of {}", args.out.display(), count(noted - 1, "more file"))]);
     }
     if !console.quiet {
-        let stopped = if files < due.len() { ", stopped by the user" } else { "" };
         let left_out = match dropped {
             0 => String::new(),
             n => format!(", {n} Gaussians left out with numbers that are not finite"),
         };
-        say(format!("{}: {}, {bytes} bytes{left_out}{stopped}", args.out.display(), count(files, "file")))?;
+        say(format!("{}: {}, {bytes} bytes{left_out}", args.out.display(), count(files, "file")))?;
     }
-    Ok(())
+    if files < due.len() { Err(stop::stopped(false)) } else { Ok(()) }
 }
 
 /// Name of the camera file in a folder of files of one scene.
@@ -246,7 +245,8 @@ fn container(scenes: &[Scene], args: &ExportArgs, workers: &Workers, console: &C
     for scene in scenes {
         for (joined, entry) in join.follow(scene, fps).zip(&scene.index().intervals) {
             if console.stop.asked() {
-                return Err(Failure::work(format!("{}: stopped by the user; nothing was written", args.out.display())));
+                let out = args.out.display();
+                return Err(Failure::Stopped(format!("{out}: stopped; nothing was written")));
             }
             let (interval, frames) = joined?;
             // An interval lists its frames if its own scene's rate does not imply them; after a join they are at other

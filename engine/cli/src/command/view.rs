@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use streamsplat::open::Opened;
 use streamsplat::output::{Partial, folder_of, write_whole};
+use streamsplat::run::Stop;
 use streamsplat::view::{Link, PageError, Recorded, Server, StillSource, Whole, poster, write_page};
 
 use crate::console::failure::Failure;
@@ -26,6 +27,13 @@ pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     if let Some(url) = args.url.as_deref().filter(|url| !is_address(url)) {
         let found = url.escape_debug();
         return Err(Failure::usage(format!("--url {found}: expected an address that begins with https:// or http://")));
+    }
+    if let Some(file) = &args.html
+        && !file
+            .extension()
+            .is_some_and(|ending| ["html", "htm"].iter().any(|known| ending.eq_ignore_ascii_case(known)))
+    {
+        return Err(Failure::usage(format!("--html {}: expected a name that ends in .html or .htm", file.display())));
     }
     let workers = args.machine.workers()?;
     let name = title(&args.scene);
@@ -58,7 +66,8 @@ fn show(source: impl Whole + 'static, args: &ViewArgs, console: &Console) -> Res
         std::fs::create_dir_all(folder)
             .map_err(|e| Failure::work(format!("{}: cannot create: {e}", folder.display())))?;
         let link = link(title(&args.scene), args.url.as_deref(), file, &image);
-        let bytes = write_file(&source, &link, file)?;
+        console.listen();
+        let bytes = write_file(&source, &link, file, &console.stop)?;
         write_whole(&image, &poster(&source)?.0)?;
         if !console.quiet {
             let (page, image) = (file.display(), image.display());
@@ -123,16 +132,30 @@ fn link(title: String, url: Option<&str>, file: &Path, image: &Path) -> Link {
     Link { title, url: url.map(str::to_owned), image }
 }
 
+/// A file that takes nothing more once a stop is requested.
+struct UntilStopped<'a>(std::fs::File, &'a Stop);
+
+impl Write for UntilStopped<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        if self.1.asked() { Err(std::io::Error::other("stopped")) } else { self.0.write(bytes) }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.0.flush()
+    }
+}
+
 /// Writes the page with the scene in it, completely or not at all.
-fn write_file(source: &impl Whole, link: &Link, file: &Path) -> Result<u64, Failure> {
+fn write_file(source: &impl Whole, link: &Link, file: &Path, stop: &Stop) -> Result<u64, Failure> {
     let partial = Partial::create(file)?;
     let failed = |e: std::io::Error| Failure::work(format!("{}: cannot write: {e}", file.display()));
-    let mut out = BufWriter::new(std::fs::File::create(partial.path()).map_err(failed)?);
-    let bytes = write_page(source, link, &mut out).map_err(|e| match e {
+    let mut out = BufWriter::new(UntilStopped(std::fs::File::create(partial.path()).map_err(failed)?, stop));
+    let written = write_page(source, link, &mut out).and_then(|bytes| Ok(out.flush().map(|()| bytes)?));
+    let bytes = written.map_err(|e| match e {
+        _ if stop.asked() => Failure::Stopped(format!("{}: stopped; nothing was written", file.display())),
         PageError::Write(e) => failed(e),
         other => other.into(),
     })?;
-    out.flush().map_err(failed)?;
     drop(out);
     partial.keep()?;
     Ok(bytes)
@@ -155,6 +178,15 @@ mod tests {
         assert!(line.contains("ssh -N -L 9:127.0.0.1:9 10.0.0.1,"), "{line}");
         let six: SocketAddr = "[fd00::1]:9".parse().expect("an address");
         assert!(tunnel(six, None).is_some_and(|line| line.contains("-L 9:[fd00::1]:9 fd00::1,")));
+    }
+
+    #[test]
+    fn a_page_takes_nothing_more_once_it_is_stopped() {
+        let stop = Stop::default();
+        let mut page = UntilStopped(tempfile::tempfile().expect("writable"), &stop);
+        assert!(page.write_all(b"<").is_ok());
+        stop.ask();
+        assert!(page.write_all(b"<").is_err());
     }
 
     #[test]

@@ -114,7 +114,7 @@ pub struct RunArgs {
     /// Resume an interrupted run from its last whole interval; start a new one if none exists
     #[arg(long)]
     pub resume: bool,
-    /// Replace finished results of another input or other options
+    /// Replace finished results of another input or other options, or a video that no run wrote
     #[arg(long)]
     pub overwrite: bool,
     /// Show the stream in a browser while it is processed, and after that until Ctrl-C [default port: 8707]

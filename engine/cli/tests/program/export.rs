@@ -31,6 +31,25 @@ fn live() -> (Vec<Interval>, Workers) {
     (intervals, engine.workers().clone())
 }
 
+#[cfg(unix)]
+#[test]
+fn an_export_that_is_stopped_fails_as_such() {
+    let scratch = Scratch::new();
+    let (scene, out) = (scratch.path("scene"), scratch.path("out"));
+    run_ok(&scratch.clip("clip", 2, 40, 24), &scene, &["--quiet"]);
+    let mut export = command();
+    export.arg("export").arg(&scene).arg("--out").arg(&out).args(["--format", "ply", "--times", "0:0.04:20000"]);
+    let mut export = export.stderr(std::process::Stdio::null()).spawn().expect("the program starts");
+    let end = std::time::Instant::now() + std::time::Duration::from_secs(60);
+    while !out.join("000000.ply").exists() {
+        assert!(std::time::Instant::now() < end, "no file");
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+    let stopped = std::process::Command::new("kill").args(["-TERM", &export.id().to_string()]).status();
+    assert!(stopped.expect("kill starts").success());
+    assert_eq!(export.wait().expect("it ends").code(), Some(130));
+}
+
 #[test]
 fn a_scene_read_back_exports_what_the_live_one_shows() {
     let scratch = Scratch::new();

@@ -269,6 +269,12 @@ fn what_cannot_be_served_is_said() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = taken.local_addr().expect("bound").port().to_string();
     assert!(fails(&view(&["--port", &port]), 1).contains(&format!("cannot serve on 127.0.0.1:{port}")));
+    // The page replaces neither its own poster nor another kind of file.
+    for name in ["page.png", "page.PNG", "scene.ply"] {
+        let page = scratch.path(name);
+        let said = fails(&view(&["--html", &page.display().to_string()]), 2);
+        assert!(said.contains("expected a name that ends in .html") && !page.exists(), "{said}");
+    }
     // A missing folder is created; one that cannot be created is an error.
     let html = scratch.path("new/folder/page.html");
     let output = view(&["--html", &html.display().to_string()]);
