@@ -181,6 +181,7 @@ impl Drawing {
         }
         let start = Instant::now();
         let image = self.workers.install(|| exposure.mean());
+        self.counts.images -= shutter.parts().len().saturating_sub(1) as u64;
         self.render += start.elapsed();
         Ok(image)
     }
@@ -223,6 +224,7 @@ impl Drawing {
     /// Joins the images of two eyes side by side.
     fn beside(&mut self, left: Image, right: Image) -> Image {
         let image = beside(left, right);
+        self.counts.images -= 1;
         self.counts.size = Some([image.width, image.height]);
         image
     }

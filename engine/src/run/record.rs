@@ -167,8 +167,10 @@ pub struct Unfilmed {
     /// Of the image with the largest share of these pixels: the angle to the source's own view, in degrees, and the
     /// share.
     pub worst: Option<[f64; 2]>,
-    /// The widest angle, in degrees, of an image whose share is at most [`Unfilmed::LITTLE`].
-    pub holds: f64,
+    /// The smallest angle, in degrees, of an image whose share is above [`Unfilmed::LITTLE`].
+    pub fails: Option<f64>,
+    /// The smaller angles of other images.
+    pub holds: Vec<f64>,
 }
 
 impl Unfilmed {
@@ -177,14 +179,19 @@ impl Unfilmed {
 
     /// Adds an image: number of pixels, uncovered share, and angle in degrees.
     pub fn add(&mut self, pixels: u64, share: f64, degrees: f64) {
+        // Beyond half a turn the filmed view comes nearer again.
+        let degrees = (degrees % 360.0).min(360.0 - degrees % 360.0);
         let missing = (share * pixels as f64).round() as u64;
         self.pixels[0] += missing;
         self.pixels[1] += pixels - missing.min(pixels);
         if self.worst.is_none_or(|[_, worst]| share > worst) {
             self.worst = Some([degrees, share]);
         }
-        if share <= Self::LITTLE {
-            self.holds = self.holds.max(degrees);
+        if share > Self::LITTLE {
+            self.fails = Some(self.fails.map_or(degrees, |least| least.min(degrees)));
+            self.holds.retain(|held| *held < degrees);
+        } else if self.fails.is_none_or(|least| degrees < least) {
+            self.holds.push(degrees);
         }
     }
 
@@ -196,7 +203,7 @@ impl Unfilmed {
             "at {degrees:.0} degrees from the filmed view {:.0} % of an image was never filmed and shows {shows}",
             100.0 * share
         );
-        let holds = self.holds.floor();
+        let holds = self.holds.iter().fold(0.0, |most: f64, held| most.max(*held)).floor();
         let most = 100.0 * Self::LITTLE;
         Some(if holds > 0.0 { format!("{found}; up to {holds:.0} degrees it is at most {most:.0} %") } else { found })
     }
@@ -448,6 +455,16 @@ mod tests {
     fn survives(record: &Record) {
         let text = record.to_json().expect("text");
         assert_eq!(Record::parse(&text).expect("what was written").to_json().expect("text"), text);
+    }
+
+    #[test]
+    fn the_angle_up_to_which_little_is_missing_lies_below_all_others() {
+        let mut unfilmed = Unfilmed::default();
+        for (degrees, share) in [(0.0, 0.0), (270.0, 0.3), (356.0, 0.01), (90.0, 0.86), (180.0, 0.0), (8.0, 0.02)] {
+            unfilmed.add(1000, share, degrees);
+        }
+        let note = unfilmed.note(true).expect("much is missing");
+        assert!(note.starts_with("at 90 degrees") && note.ends_with("up to 8 degrees it is at most 2 %"), "{note}");
     }
 
     #[test]

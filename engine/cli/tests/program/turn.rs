@@ -178,6 +178,20 @@ fn a_held_sway_is_a_loop_and_shows_what_is_near_and_far_move() {
 }
 
 #[test]
+fn an_image_of_two_eyes_or_of_an_open_shutter_is_one_image() {
+    let scratch = Scratch::new();
+    let scene = ran(&scratch, "run", &[]);
+    for more in [&["--stereo"][..], &["--shutter", "180"], &["--stereo", "--shutter", "180"]] {
+        let out = scratch.path(&more.concat());
+        let output = render(&scene, &out, &[&["--times", "0.25"], more].concat());
+        ok(&output);
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(said.contains(": 1 image of "), "{said}");
+        assert_eq!(json(&out.join("run.json"))["work"]["render"]["done"], 1);
+    }
+}
+
+#[test]
 fn stereo_images_are_twice_as_wide_and_differ_by_the_distance_of_the_eyes() {
     let scratch = Scratch::new();
     let scene = ran(&scratch, "run", &[]);
