@@ -20,6 +20,7 @@ use crate::console::opening::say_of;
 use crate::console::progress::Progress;
 use crate::console::{Console, count, say};
 use crate::options::args::{ExportArgs, RenderOptions};
+use crate::options::times;
 use streamsplat::run::drawing::Drawing;
 use streamsplat::run::options::Times;
 use streamsplat::run::outputs::{Destination, Emit, Finished, Outputs};
@@ -98,8 +99,19 @@ impl Plan {
                 )));
             }
             let rate = views.own_rate.unwrap_or(1.0);
-            let all = || (0..views.own_sizes.len().max(1)).map(|i| i as f64 / rate).collect();
-            let times = views.times.clone().unwrap_or_else(all);
+            let times = match (&views.times, views.camera.views()) {
+                (Some(times), [(first, _), .., (last, _)]) if file.in_time.is_none() => {
+                    if let Some(time) = times.iter().find(|time| !(first..=last).contains(time)) {
+                        return Err(Failure::usage(format!(
+                            "--times: {time} s lies outside the path of --camera ({first} s to {last} s)"
+                        )));
+                    }
+                    times.clone()
+                }
+                (Some(times), _) => times.clone(),
+                (None, [(first, _), .., (last, _)]) if views.own_sizes.is_empty() => times::grid((*first, *last), fps)?,
+                (None, _) => (0..views.own_sizes.len().max(1)).map(|i| i as f64 / rate).collect(),
+            };
             views.camera = optics.around(views.camera)?;
             return Ok(Plan { views, times, fps, of_scene });
         }

@@ -33,7 +33,7 @@ pub fn check_rate(fps: Option<f64>) -> Result<(), Failure> {
 
 /// Returns times from the scene's start, `fps` to the second, up to its end. The end is included if it is within a
 /// millionth of a step.
-fn grid((start, end): (f64, f64), fps: f64) -> Result<Vec<f64>, Failure> {
+pub fn grid((start, end): (f64, f64), fps: f64) -> Result<Vec<f64>, Failure> {
     let steps = (end - start) * fps;
     if !(steps.is_finite() && steps < 1e7) {
         return Err(Failure::usage(format!("--fps {fps}: {steps} times are too many; give --times")));

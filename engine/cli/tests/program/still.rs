@@ -105,6 +105,37 @@ fn images_along_a_path_are_those_drawn_alone() {
 }
 
 #[test]
+fn a_path_of_a_camera_is_drawn_from_its_first_time_to_its_last() {
+    let scratch = Scratch::new();
+    let (scene, _) = prepared(&scratch);
+    let camera = scratch.path("path.json");
+    let views = [(1, -1), (2, 1)].map(|(time, x)| {
+        format!(
+            r#"{{"time": {time}, "type": "pinhole", "position": [{x}, 0, -3], "fov_y_degrees": 45, "aspect": 1.5}}"#
+        )
+    });
+    std::fs::write(&camera, format!(r#"{{"views": [{}]}}"#, views.join(", "))).expect("writable");
+    let drawn = |name: &str, more: &[&str]| {
+        let out = scratch.path(name);
+        let output = render(&scene, &camera, &out, &[&["--size", "30x20"], more].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        files(&out)
+    };
+    let all = drawn("all", &["--fps", "4"]);
+    assert_eq!((all.len(), drawn("own", &[]).len()), (5, 25));
+    assert!(all == drawn("times", &["--times", "1,1.25,1.5,1.75,2"]));
+    for (out, more, expected) in [
+        ("before", &["--times=-2,1.5"][..], "--times: -2 s lies outside the path of --camera (1 s to 2 s)"),
+        ("after", &["--times", "1.5,3"], "--times: 3 s lies outside"),
+        ("one.png", &[], "expected a folder or a video for 25 images"),
+    ] {
+        let more = [&["--size", "30x20"], more].concat();
+        let text = fails(&render(&scene, &camera, &scratch.path(out), &more), 2);
+        assert!(text.contains(expected) && !scratch.path(out).exists(), "{text}");
+    }
+}
+
+#[test]
 fn a_ply_file_exported_again_is_the_same_file() {
     let scratch = Scratch::new();
     let (scene, _) = prepared(&scratch);
