@@ -118,19 +118,24 @@ pub fn scene_along(
     if let Some(wrong) = recognise::not_a_scene(path) {
         return Err(SceneError::Broken { path: path.to_owned(), cause: wrong.to_string() });
     }
+    let broken = |e: FormatError| SceneError::Broken { path: path.to_owned(), cause: e.to_string() };
+    let levels = |found: &str| match limits.level {
+        1.. if found != formats::lod::NAME => {
+            Err(broken(FormatError::new("level of detail", "a streamed SOG scene, for a level above 0", found)))
+        }
+        _ => Ok(()),
+    };
+    let moving = || levels("a scene in time").and_then(|()| Scene::open_within(path, limits).map(Opened::Moving));
     if path.is_dir() {
-        return Scene::open_within(path, limits).map(Opened::Moving);
+        return moving();
     }
     let read = |cause| SceneError::Read { path: path.to_owned(), cause };
     let mut head = Vec::new();
     File::open(path).map_err(read)?.take(MAX_HEADER as u64).read_to_end(&mut head).map_err(read)?;
     let Some((name, reader)) = format(path, &head[..head.len().min(HEAD as usize)]) else {
-        return Scene::open_within(path, limits).map(Opened::Moving);
+        return moving();
     };
-    let broken = |e: FormatError| SceneError::Broken { path: path.to_owned(), cause: e.to_string() };
-    if limits.level > 0 && name != formats::lod::NAME {
-        return Err(broken(FormatError::new("level of detail", "a streamed SOG scene, for a level above 0", name)));
-    }
+    levels(name)?;
     let opened = |mut still: Still, (bytes, blake3)| {
         // Files inside others were already read along these axes.
         if let Some(axes) = axes.filter(|axes| still.about.axes_assumed || still.about.axes != *axes) {

@@ -19,7 +19,7 @@ pub enum Error {
     #[error("{0}")]
     Work(String),
     /// The engine refused a model, its settings or a frame.
-    #[error(transparent)]
+    #[error("{dashes}{0}", dashes = if matches!(.0, EngineError::Resolution { .. }) { "--" } else { "" })]
     Engine(#[from] EngineError),
     /// An image could not be drawn.
     #[error(transparent)]
@@ -54,6 +54,6 @@ impl Error {
 
     /// Returns true for wrong use.
     pub fn is_usage(&self) -> bool {
-        matches!(self, Error::Usage(_))
+        matches!(self, Error::Usage(_) | Error::Engine(EngineError::Resolution { .. }))
     }
 }

@@ -219,6 +219,8 @@ impl Run {
         }
         // Locked until everything is written.
         let mut place = self.out.as_deref().map(|out| Destination::asked(out).map(Place::new)).transpose()?;
+        let unused = self.options.without_effect();
+        self.observer.notes(&unused);
         self.fill(place.as_ref().map(Place::destination));
         let found = match &mut place {
             Some(place) if self.resume => {

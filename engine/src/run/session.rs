@@ -19,9 +19,10 @@ use super::resume_state::Found;
 use super::terms::{Terms, with_absolute_paths};
 use super::{Error, Observer, Step, Stop};
 use crate::Engine;
+use crate::fit::Placement;
 use crate::output::{Pace, VideoFormat, holds_sound};
 use crate::source::{self, Sound, Source};
-use crate::stream::{Interval, MotionFrom, Reuse};
+use crate::stream::{Interval, MotionFrom, Resolution, Reuse};
 
 /// The input, options and environment of a run.
 pub(super) struct Task {
@@ -108,6 +109,9 @@ impl Session {
         };
         options.motion.follow(&mut views, source.fps())?;
         observer.notes(source.notes());
+        if options.matrix.is_some() && source.files().is_some() {
+            observer.notes(&["--matrix changes nothing: images have their own".to_owned()]);
+        }
         let noted = source.notes().len();
         let pace = Pace { fps: source.fps(), uneven: source.is_uneven() && views.times.is_none() };
         if pace.uneven && matches!(destination, Some(Destination::Video(_, VideoFormat::Y4m))) {
@@ -282,6 +286,13 @@ impl Session {
             };
             let delivery = &mut self.delivery;
             delivery.dropped += interval.dropped;
+            if delivery.span.is_none() {
+                let placement = &interval.placement;
+                let shape = delivery.views.squeezed(Some(placement.source)).filter(|_| delivery.emit.draws());
+                let exact = matches!(self.task.options.stream.resolution, Some(Resolution::Exact(_)));
+                let seen = padding(placement).filter(|_| exact);
+                self.task.observer.notes(&shape.into_iter().chain(seen).collect::<Vec<_>>());
+            }
             delivery.span = Some((delivery.span.map_or(interval.start, |(first, _)| first), interval.end));
             self.task.observer.interval(&interval);
             let times: Vec<f64> = key.shown.iter().map(|frame| frame.timestamp).collect();
@@ -436,6 +447,18 @@ impl Session {
         };
         Ok((record, place))
     }
+}
+
+/// A line where more than a third of what the model sees is a border around the picture.
+fn padding(placement: &Placement) -> Option<String> {
+    let [[height, width], [rows, columns]] = [placement.model, placement.content];
+    let share = 1.0 - (rows * columns) as f64 / (height * width) as f64;
+    let percent = 100.0 * share;
+    (share > 1.0 / 3.0).then(|| {
+        format!(
+            "--resolution {height}x{width} (HEIGHTxWIDTH): the picture has {rows}x{columns} of it, and {percent:.0} % is a border"
+        )
+    })
 }
 
 /// The sound of the input, if the output video can hold it and has the times of the input's own frames.

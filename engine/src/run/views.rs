@@ -3,7 +3,7 @@
 use super::Error;
 use super::options::motion::Course;
 use super::options::{Background, Fill, Times, ViewOptions};
-use crate::camera::CameraPath;
+use crate::camera::{Camera, CameraPath, Lens};
 use crate::formats::FormatError;
 use crate::formats::cameras::{self, CameraFile, CameraSet};
 use crate::render::Backend;
@@ -72,6 +72,30 @@ impl Views {
 }
 
 impl Views {
+    /// A line where images of the requested size show the picture in another shape: that of the camera, for the
+    /// source's own view that of its frames, of this height and width.
+    pub fn squeezed(&self, source: Option<[usize; 2]>) -> Option<String> {
+        let Size::Exact { width, height } = self.options.size else { return None };
+        let ratio = |width: usize, height: usize| width as f64 / height.max(1) as f64;
+        let shape = match (&self.own_sizes[..], self.camera.views().first()?.1) {
+            ([[width, height], ..], _) => ratio(*width, *height),
+            ([], Camera::Canonical) => source.map(|[height, width]| ratio(width, height))?,
+            ([], Camera::Posed { lens, .. }) => match lens {
+                Lens::Orthographic { half_extent } => half_extent.map(|[right, down]| right / down)?,
+                Lens::Pinhole { focal: [x, y], .. } => y / x,
+                Lens::Equirectangular => 2.0,
+            },
+        };
+        // Sides are whole numbers of pixels, for videos even ones.
+        let off = (width as f64 - shape * height as f64).abs();
+        (off > f64::max(2.0, 0.01 * width as f64)).then(|| {
+            let found = ratio(width, height);
+            format!(
+                "images of {width}×{height} ({found:.2}:1) show a picture of {shape:.2}:1: its pixels are not square"
+            )
+        })
+    }
+
     /// The video's own view, at the model's size.
     pub fn own() -> Views {
         Views {

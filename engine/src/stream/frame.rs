@@ -97,7 +97,7 @@ pub enum EngineError {
         found: f64,
     },
     /// The model takes no frames of the requested resolution.
-    #[error("resolution {}x{}: expected {expected}", found[0], found[1])]
+    #[error("resolution {}x{}: expected {expected} (HEIGHTxWIDTH)", found[0], found[1])]
     Resolution {
         /// Sizes that the model takes.
         expected: String,

@@ -108,6 +108,7 @@ fn single(args: &RenderArgs, kind: Single, console: &Console) -> Result<(), Fail
     {
         return Err(Failure::usage(format!("--emit {list}: expected {emit} or nothing, as --out is a single file")));
     }
+    Destination::of(&args.out).check_crf(options.crf)?;
     options.single = true;
     let unwritable = |e| Failure::work(format!("{}: cannot write: {e}", args.out.display()));
     let scratch =
@@ -227,6 +228,7 @@ pub fn render(
     let Finished { outputs, notes } = drawing.writing(|| outputs.finish())?;
     progress.finish();
     console.note(&notes);
+    console.note(views.squeezed(Some(scene.placement().source)).as_slice());
     console.note(drawing.counts.unfilmed.note(views.fill != Fill::None).as_slice());
 
     let [height, width] = scene.placement().source;

@@ -297,11 +297,15 @@ pub fn render(
     if video && plan.count() == 1 {
         lines.push("a video of one image: the camera moves with --turntable, --orbit or --sway, or along the path of a --camera file".to_owned());
     }
+    if !video && plan.count() == 1 && options.fps.is_some() {
+        lines.push("--fps changes nothing for one image".to_owned());
+    }
     say_of(&path, &lines, console);
     progress.phase("images; finishing the files");
     let Finished { outputs, notes } = drawing.writing(|| outputs.finish())?;
     progress.finish();
     console.note(&notes);
+    console.note(plan.views.squeezed(None).as_slice());
 
     let input = InputRecord { path, blake3, count: 1, size: size.unwrap_or(SIZE), fps: plan.fps, damage: None };
     record(options, input, &drawing, Rendered { outputs, complete, read, start }, workers)

@@ -287,3 +287,68 @@ fn a_full_disk_behind_standard_output_is_a_failure() {
         assert!(fails(&output, 1).contains("standard output: cannot write"), "{words:?}");
     }
 }
+
+#[test]
+fn options_that_change_nothing_are_told_or_refused() {
+    let scratch = Scratch::new();
+    let (clip, out) = (scratch.clip("clip", 2, 40, 24), scratch.path("out"));
+    let options = "--refine 0 --refine-every 2 --refine-to 40 --detail 8 --depth-range clip --behind off \
+        --fusion pairwise --max-age 3 --motion network --flow coarse --emit ply --size 20x12 --stereo --matrix bt709";
+    let mut run = command();
+    run.arg("run").arg(&clip).arg("--out").arg(&out).arg("--model").arg(model()).args(options.split_whitespace());
+    let output = run.output().expect("the program starts");
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{text}");
+    for (option, cause) in [
+        ("--refine-every", "with --refine 0"),
+        ("--refine-to", "with --refine 0"),
+        ("--detail", "with --refine 0"),
+        ("--depth-range", "without a folder of depth maps"),
+        ("--behind", "without depth"),
+        ("--max-age", "with --fusion pairwise"),
+        ("--flow", "with --motion network"),
+        ("--size", "as no images are drawn"),
+        ("--stereo", "as no images are drawn"),
+    ] {
+        assert!(text.contains(&format!("{option} changes nothing {cause}\n")), "{option}: {text}");
+    }
+    assert!(text.contains("--matrix changes nothing"), "{text}");
+    // The record also has values of presets, which are repeated without a line.
+    let output = command().arg("verify").arg(&out).output().expect("the program starts");
+    assert!(output.status.success() && output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+
+    let (scene, _) = crate::still::prepared(&scratch);
+    let drawn = scratch.path("drawn.png");
+    let output = crate::support::run([Path::new("render"), &scene, Path::new("--fps=9"), Path::new("--out"), &drawn]);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("--fps changes nothing for one image"));
+    std::fs::remove_file(&drawn).expect("drawn");
+    run_ok(&clip, &out, &["--quiet", "--overwrite"]);
+    for (command, input, more, code, expected) in [
+        ("run", &clip, &["--dinov2", "/nowhere"][..], 2, "--dinov2: expected --model as well"),
+        ("run", &clip, &["--resolution", "100x100"], 2, "--resolution 100x100: expected multiples of"),
+        ("render", &out, &["--times", "0", "--lod", "3"], 1, "level of detail: expected a streamed SOG scene"),
+        ("render", &out, &["--times", "0", "--crf", "7"], 2, "drawn.png"),
+    ] {
+        let place = if command == "run" { scratch.path("none") } else { drawn.clone() };
+        let output = self::command().arg(command).arg(input).arg("--out").arg(&place).args(more).output();
+        let text = fails(&output.expect("the program starts"), code);
+        assert!(text.contains(expected) && !text.contains(".streamsplat-") && !place.exists(), "{text}");
+    }
+}
+
+#[test]
+fn a_resolution_that_is_mostly_border_is_told() {
+    let scratch = Scratch::new();
+    let clip = scratch.clip("clip", 2, 40, 24);
+    for (size, line) in [
+        ("144x80", Some("--resolution 144x80 (HEIGHTxWIDTH): the picture has 48x80 of it, and 67 % is a border")),
+        ("48x80", None),
+    ] {
+        let mut run = command();
+        run.arg("run").arg(&clip).arg("--out").arg(scratch.path(size)).arg("--model").arg(model());
+        let output = run.args(["--resolution", size]).output().expect("the program starts");
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{text}");
+        assert!(line.map_or(!text.contains("border"), |line| text.contains(line)), "{size}: {text}");
+    }
+}

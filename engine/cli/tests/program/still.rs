@@ -136,6 +136,33 @@ fn a_path_of_a_camera_is_drawn_from_its_first_time_to_its_last() {
 }
 
 #[test]
+fn images_of_another_shape_than_the_picture_are_told() {
+    let scratch = Scratch::new();
+    let (scene, camera) = prepared(&scratch);
+    let (clip, out) = (scratch.clip("clip", 2, 40, 24), scratch.path("run"));
+    for (size, line) in [
+        ("60x60", Some("images of 60×60 (1.00:1) show a picture of 1.50:1: its pixels are not square")),
+        ("60x40", None),
+        ("61x40", None),
+    ] {
+        let output = render(&scene, &camera, &scratch.path("out"), &["--size", size]);
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(line.map_or(!text.contains("show a picture"), |line| text.contains(line)), "{size}: {text}");
+    }
+    for (size, told) in [("64x64", true), ("80x48", false)] {
+        let text = |command: &str, input: &Path, out: &Path, more: &[&str]| {
+            let mut words = vec![command.as_ref(), input.as_os_str(), "--out".as_ref(), out.as_os_str()];
+            words.extend(["--size", size].iter().chain(more).map(|word| std::ffi::OsStr::new(*word)));
+            let output = run(words);
+            assert!(output.status.success());
+            String::from_utf8_lossy(&output.stderr).contains("show a picture of 1.67:1")
+        };
+        assert_eq!(text("run", &clip, &out, &["--overwrite"]), told);
+        assert_eq!(text("render", &out, &scratch.path("drawn"), &[]), told);
+    }
+}
+
+#[test]
 fn a_ply_file_exported_again_is_the_same_file() {
     let scratch = Scratch::new();
     let (scene, _) = prepared(&scratch);

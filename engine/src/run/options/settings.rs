@@ -10,7 +10,7 @@ use crate::fit::Fit;
 use crate::gap::Gap;
 use crate::run::record::ModelRecord;
 use crate::run::{Error, digest};
-use crate::stream::{DepthRange, MaxAge, ModelSource, Settings, Workers};
+use crate::stream::{DepthRange, Fusion, MaxAge, ModelSource, MotionFrom, Settings, Workers};
 
 /// Source of depth.
 #[derive(Clone, Debug, PartialEq)]
@@ -79,7 +79,38 @@ impl RunOptions {
         if motion.eye_distance.is_some() && !motion.stereo {
             return Err(Error::usage("--eye-distance: expected --stereo as well"));
         }
+        if self.stream.model.dinov2.is_some() && self.stream.model.model.is_none() {
+            return Err(Error::usage("--dinov2: expected --model as well, found the embedded model, which uses none"));
+        }
         Ok(())
+    }
+
+    /// Options that are given and change nothing, one line for each. A record holds the values of presets as well, so
+    /// this applies to what a user wrote, before it is [`resolved`](Self::resolved).
+    pub(crate) fn without_effect(&self) -> Vec<String> {
+        let (given, all, motion) = (&self.stream, self.stream.resolved(), &self.motion);
+        let maps = matches!(all.depth, Some(DepthSource::Folder(_) | DepthSource::Network(_)));
+        let flat = matches!(all.depth, None | Some(DepthSource::None));
+        let unfitted = all.refine == Some(0);
+        let undrawn = self.emit.is_some_and(|emit| !emit.draws());
+        let moves = motion.orbit.is_some() || motion.sway.is_some() || motion.turntable.is_some();
+        let pairwise = all.fusion == Some(Fusion::Pairwise);
+        let network = all.motion == Some(MotionFrom::Network);
+        let unused = [
+            ("--depth-range", given.depth_range.is_some() && !maps, "without a folder of depth maps"),
+            ("--behind", given.behind.is_some() && flat, "without depth"),
+            ("--max-age", given.max_age.is_some() && pairwise, "with --fusion pairwise"),
+            ("--flow", given.flow.is_some() && network, "with --motion network"),
+            ("--refine-every", given.refine_every.is_some() && unfitted, "with --refine 0"),
+            ("--refine-to", given.refine_to.is_some() && unfitted, "with --refine 0"),
+            ("--detail", given.detail.is_some_and(|detail| detail > 0) && unfitted, "with --refine 0"),
+            ("--size", self.view.size.is_some() && undrawn, "as no images are drawn"),
+            ("--camera", self.view.camera.is_some() && undrawn, "as no images are drawn"),
+            ("--orbit, --sway, --turntable", moves && undrawn, "as no images are drawn"),
+            ("--stereo", motion.stereo && undrawn, "as no images are drawn"),
+        ];
+        let unused = unused.into_iter().filter(|(_, unused, _)| *unused);
+        unused.map(|(option, _, cause)| format!("{option} changes nothing {cause}")).collect()
     }
 }
 
