@@ -331,8 +331,8 @@ fn record_at(destination: &Destination) -> Option<Record> {
     Record::read(&path).ok()
 }
 
-/// Returns an error where the place holds the complete results of another input or of other options, or a video that
-/// no run wrote.
+/// Returns an error where the place holds the complete results of another input or of other options, or a video
+/// without a record.
 fn refuse_others(
     input: &Path,
     destination: &Destination,
@@ -351,7 +351,7 @@ fn refuse_others(
     let Some(record) = record_at(destination) else {
         return if is_file && destination.record().is_some_and(|record| !record.exists()) {
             Err(Error::usage(format!(
-                "--out {out}: expected a free place, found a file that no run wrote; --overwrite replaces it"
+                "--out {out}: expected a free place, found a file without the record of a run; --overwrite replaces it"
             )))
         } else {
             Ok(())

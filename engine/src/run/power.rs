@@ -115,7 +115,7 @@ fn encoded(clip: &Path, video: &Path, encoder: &Path, fault: Option<(Fault, u64)
     std::fs::write(video, "another").expect("writable");
     let mut run = run(clip, video);
     assert!(run.options.set("emit", "rgb").expect("a value"));
-    inject_with(fault, Some(encoder.to_owned()), || run.finish())
+    inject_with(fault, Some(encoder.to_owned()), || run.overwrite(true).finish())
 }
 
 #[cfg(unix)]

@@ -108,7 +108,7 @@ fn a_run_replaces_neither_its_input_nor_a_video_of_someone_else() {
     let other = scratch.path("b.y4m");
     std::fs::write(&other, "mine").expect("writable");
     let said = fails(&run(&frames, &other, &[]).output().expect("the program starts"), 2);
-    assert!(said.contains("a file that no run wrote; --overwrite"), "{said}");
+    assert!(said.contains("a file without the record of a run; --overwrite"), "{said}");
     assert_eq!(std::fs::read(&other).expect("there"), b"mine");
     run_ok(&frames, &other, &["--overwrite", "--quiet"]);
 }
