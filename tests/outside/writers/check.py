@@ -142,6 +142,29 @@ def even(work):
         assert stream['r_frame_rate'] == stream['avg_frame_rate'] == expected, stream
 
 
+def close_together(work):
+    """No image of a GIF is shown for 1/100 s, which players take as 1/10 s."""
+    clip = work / 'sixty.mkv'
+    out('ffmpeg', '-v', 'error', '-f', 'lavfi', '-i', 'testsrc2=s=96x64:r=60:d=0.5', '-c:v', 'libx264', '-qp', 4, clip)
+    said = run(clip, work / 'sixty.gif')
+    assert '10 images are left out: players of GIF show at most 50 a second' in said, said
+    found = times(work / 'sixty.gif')
+    assert len(found) == 20 and min(np.diff(found)) > 0.019 and abs(found[-1] - 28 / 60) < 0.02, found
+
+
+def late(work):
+    """Sound that starts after the pictures still ends with them."""
+    clip = work / 'late.mkv'
+    out('ffmpeg', '-v', 'error', '-f', 'lavfi', '-i', 'testsrc2=s=96x64:r=10:d=1.2', '-itsoffset', '0.3', '-f', 'lavfi', '-i', 'sine=d=3', '-c:v',
+        'libx264', '-qp', 4, '-c:a', 'flac', clip)
+    for ending in ['mp4', 'mov', 'mkv', 'webm']:
+        file = work / f'out.{ending}'
+        run(clip, file)
+        sound = probe(file, 'a:0', 'pts_time,duration_time', 'packet')
+        begin, end = float(sound[0]['pts_time']), float(sound[-1]['pts_time']) + float(sound[-1].get('duration_time', 0))
+        assert len(times(file)) == 12 and abs(begin - 0.3) < 0.06 and abs(end - 1.2) < 0.11, (ending, begin, end)
+
+
 def odd(work):
     """H.264 gets even sides and a profile that players support, and a line reports it; others stay odd."""
     flat(work / 'odd', (200, 40, 40), (81, 45))
@@ -205,7 +228,7 @@ def qualities(work):
 
 def main():
     with tempfile.TemporaryDirectory(prefix='streamsplat-writers-') as folder:
-        for check in [uneven, even, odd, stopped, full, qualities, colours]:
+        for check in [uneven, even, close_together, late, odd, stopped, full, qualities, colours]:
             if len(sys.argv) > 2 and check.__name__ not in sys.argv[2:]:
                 continue
             work = Path(folder) / check.__name__

@@ -29,6 +29,9 @@ const VP9_QUALITY: u8 = 18;
 const AV1_QUALITY: u8 = 18;
 /// Least number of ticks per second.
 const TICKS: u64 = 90_000;
+/// Nanoseconds in a unit of time of GIF, and the least number of them between two images: players show shorter ones
+/// several times as long.
+const GIF: (u64, u64) = (10_000_000, 2);
 /// Longest messages that are kept, in bytes.
 const MESSAGES: u64 = 1 << 16;
 
@@ -84,6 +87,10 @@ pub(super) struct Encoder {
     /// Time of the last frame in nanoseconds.
     last: Option<u64>,
     name: String,
+    /// True if images that follow the one before too closely for players of GIF are left out.
+    thins: bool,
+    /// Number of images that are left out.
+    pub(super) left_out: usize,
 }
 
 impl Encoder {
@@ -130,7 +137,8 @@ impl Encoder {
             String::from_utf8_lossy(&text).into_owned()
         });
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let mut encoder = Encoder { child, messages: Some(messages), size, even, last: None, name };
+        let (messages, thins) = (Some(messages), kind == "gif");
+        let mut encoder = Encoder { child, messages, size, even, last: None, name, thins, left_out: 0 };
         if let Err(e) = encoder.write(&matroska::head(even.0, even.1, pace.fps)) {
             return Err(failed(encoder.finish().err().unwrap_or_else(|| e.to_string())));
         }
@@ -139,9 +147,13 @@ impl Encoder {
 
     /// Appends a frame that is shown `seconds` after the first.
     pub(super) fn push(&mut self, samples: Vec<u8>, seconds: f64) -> io::Result<()> {
-        let samples = evened(samples, self.size, self.even);
         // `as` saturates.
         let wanted = (seconds * 1e9).round() as u64;
+        if self.thins && self.last.is_some_and(|last| follows_closely(last, wanted)) {
+            self.left_out += 1;
+            return Ok(());
+        }
+        let samples = evened(samples, self.size, self.even);
         let time = self.last.map_or(wanted, |last| wanted.max(last + 1_000_000));
         self.last = Some(time);
         self.write(&matroska::frame(time, samples.len()))?;
@@ -159,7 +171,10 @@ impl Encoder {
     /// How pictures in the file differ from those pushed.
     pub(super) fn note(&self) -> Option<String> {
         let ((width, height), (wide, high)) = (self.size, self.even);
-        let name = &self.name;
+        let (name, left_out) = (&self.name, self.left_out);
+        if left_out > 0 {
+            return Some(format!("{name}: {left_out} images are left out: players of GIF show at most 50 a second"));
+        }
         (self.size != self.even).then(|| {
             format!(
                 "{name}: {width}×{height} became {wide}×{high}, its edge repeated, as players of H.264 need even sides"
@@ -187,6 +202,13 @@ impl Drop for Encoder {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// Returns true if a GIF's image at `time` is too close to that at `last`.
+fn follows_closely(last: u64, time: u64) -> bool {
+    let (unit, least) = GIF;
+    let place = |time: u64| time.saturating_add(unit / 2) / unit;
+    place(time) < place(last).saturating_add(least)
 }
 
 /// The first line of ffmpeg's messages that is not blank.
@@ -269,6 +291,19 @@ mod tests {
             assert_eq!(ticks(fps), expected, "{fps}");
         }
         assert!(ticks(1e-9) < 1 << 31 && ticks(3_999.999_999) < 1 << 31);
+    }
+
+    #[test]
+    fn images_of_a_gif_are_shown_two_hundredths_of_a_second_at_least() {
+        let kept = |fps: u64| {
+            let times = (0..fps).map(|i| i * 1_000_000_000 / fps);
+            let kept = times.fold((0, None), |(count, last), time| match last {
+                Some(last) if follows_closely(last, time) => (count, Some(last)),
+                _ => (count + 1, Some(time)),
+            });
+            kept.0
+        };
+        assert_eq!([10, 24, 25, 40, 50, 60, 100, 120].map(kept), [10, 24, 25, 40, 50, 40, 50, 50]);
     }
 
     #[test]

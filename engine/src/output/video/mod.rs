@@ -231,7 +231,8 @@ impl Video {
             }
             Some(Sink::Ffmpeg(encoder)) => {
                 notes.extend(encoder.note());
-                let whole = encoder.finish().and_then(|()| self.complete(&partial));
+                let frames = self.frames - encoder.left_out;
+                let whole = encoder.finish().and_then(|()| self.complete(&partial, frames));
                 notes.extend(whole.map_err(|cause| {
                     let _ = storage::remove(&partial);
                     self.ffmpeg_error(cause)
@@ -244,18 +245,18 @@ impl Video {
         Ok(Finished { file, samples: self.samples.finalize().to_hex().to_string(), frames: self.frames, notes })
     }
 
-    /// Adds the sound to the pictures in the file `partial` and checks that all frames are there. Returns ffmpeg's
+    /// Adds the sound to the pictures in the file `partial` and checks that all `frames` are there. Returns ffmpeg's
     /// message on the sound, if any.
-    fn complete(&self, partial: &Path) -> Result<Option<String>, String> {
+    fn complete(&self, partial: &Path, frames: usize) -> Result<Option<String>, String> {
         #[cfg(test)]
         storage::faults::foreign(partial).map_err(|e| e.to_string())?;
         let kind = encode::container(&self.path);
-        let Some(sound) = &self.sound else { return check::whole(partial, &kind, self.frames).map(|()| None) };
+        let Some(sound) = &self.sound else { return check::whole(partial, &kind, frames).map(|()| None) };
         // Checked before the sound is added, so that faults of the pictures are not reported as faults of the sound.
-        check::whole(partial, &kind, self.frames)?;
+        check::whole(partial, &kind, frames)?;
         let seconds = self.span.1 - self.span.0 + 1.0 / self.pace.fps;
         let note = sound.join(partial, &kind, seconds)?;
-        check::whole(partial, &kind, self.frames)?;
+        check::whole(partial, &kind, frames)?;
         Ok(note)
     }
 }

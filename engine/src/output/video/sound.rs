@@ -35,7 +35,9 @@ impl Sound {
         }
         command.args(["-t", &seconds.to_string(), "-protocol_whitelist", "file", "-i"]).arg(url(&self.file));
         command.args(["-map", "0:v:0", "-map", "1:a:0", "-c:v", "copy", "-c:a", encoder(kind, &self.codec)]);
-        let ended = command.args(["-f", kind]).arg(url(&joined)).stdin(Stdio::null()).stdout(Stdio::null()).output();
+        // The input's limit counts from the sound's own start, which may be later than that of the pictures.
+        command.args(["-t", &seconds.to_string(), "-f", kind]);
+        let ended = command.arg(url(&joined)).stdin(Stdio::null()).stdout(Stdio::null()).output();
         let named = ended.map_err(|e| e.to_string()).and_then(|ended| {
             let said = first_line(&String::from_utf8_lossy(&ended.stderr));
             if !ended.status.success() {
