@@ -77,7 +77,7 @@ pub const FORMATS: [Format; 6] = [
         option: "spz",
         ending: "spz",
         keeps: "20 bytes per Gaussian before compression, and the harmonics; the mark of anti-aliased training; versions 1 to 4 are read, 3 or 4 is written",
-        loses: "precision (positions to 1/4096 unit, coarser in wide scenes, with a line; 8 bits and fewer for the rest), harmonics above degree 3",
+        loses: "precision (positions to 1/4096 unit, finer in tiny scenes, coarser in wide ones, with a line; 8 bits and fewer for the rest), harmonics above degree 3",
         reader: Reader::whole(spz::is, |bytes, _, limits| spz::within(bytes, limits)),
         snapshot: |snapshot, options| spz::write(&Still::of(snapshot), options.spz),
         still: |scene, options| spz::write(scene.still(), options.spz),

@@ -377,7 +377,10 @@ pub fn inspect(file: &StillFile) -> Value {
         "notes": still.about.notes,
         "least": bounds.map(|[least, _]| least),
         "greatest": bounds.map(|[_, greatest]| greatest),
-        "most_of_it": framing.map(|f| json!({ "least": f.least.map(short), "greatest": f.greatest.map(short) })),
+        "most_of_it": framing.map(|f| {
+            let placed = |ends: [f64; 3]| [0, 1, 2].map(|k| digits(ends[k], f.greatest[k] - f.least[k]));
+            json!({ "least": placed(f.least), "greatest": placed(f.greatest) })
+        }),
         "standard_deviation": spread(statistics.size),
         "flatness": spread(statistics.flatness),
         "opacity": spread(statistics.opacity),
@@ -398,5 +401,11 @@ pub fn inspect(file: &StillFile) -> Value {
 
 /// Formats a number with five digits for the terminal.
 fn short(x: f64) -> f64 {
-    format!("{x:.4e}").parse().unwrap_or(x)
+    digits(x, x)
+}
+
+/// Formats a number with five digits, or with as many as tell five digits of `extent`.
+fn digits(x: f64, extent: f64) -> f64 {
+    let more = (x / extent).abs().log10().floor().clamp(0.0, 12.0) as usize;
+    format!("{x:.*e}", 4 + more).parse().unwrap_or(x)
 }

@@ -179,3 +179,20 @@ fn coordinates_of_maps_are_drawn_as_those_near_zero() {
     said(&["inspect", text(&scene), "--json", text(&found)]);
     assert!(json(&found)["most_of_it"]["least"][0].as_f64().is_some_and(|x| x > 4e5));
 }
+
+#[test]
+fn bounds_far_from_zero_keep_the_digits_that_differ() {
+    let scratch = Scratch::new();
+    let path = scratch.path("map.ply");
+    let mut scene = still();
+    scene.mean.iter_mut().for_each(|mean| mean[0] += 431_250.0);
+    std::fs::write(&path, formats::ply::write(&scene).bytes).expect("writable");
+    let output = command().arg("inspect").arg(&path).output().expect("the program starts");
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    let (_, bounds) = text.split_once("most_of_it:").expect("bounds");
+    let end = |name: &str| -> f64 {
+        let (_, values) = bounds.split_once(&format!("{name}: [")).expect("a list");
+        values.split(',').next().and_then(|first| first.trim().parse().ok()).expect("a number")
+    };
+    assert!(end("greatest") > end("least") + 0.1, "{text}");
+}

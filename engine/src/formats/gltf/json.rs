@@ -11,6 +11,12 @@ pub(super) struct Document {
     pub(super) asset: Asset,
     #[serde(default)]
     pub(super) extensions_required: Vec<String>,
+    #[serde(default)]
+    pub(super) extensions_used: Vec<String>,
+    #[serde(default)]
+    pub(super) animations: Vec<Value>,
+    #[serde(default)]
+    pub(super) skins: Vec<Value>,
     pub(super) scene: Option<usize>,
     #[serde(default)]
     pub(super) scenes: Vec<Scene>,
@@ -58,6 +64,9 @@ pub(super) struct Primitive {
     #[serde(default)]
     pub(super) attributes: BTreeMap<String, usize>,
     pub(super) mode: Option<u64>,
+    pub(super) indices: Option<Value>,
+    #[serde(default)]
+    pub(super) targets: Vec<Value>,
     #[serde(default)]
     pub(super) extensions: BTreeMap<String, Value>,
 }

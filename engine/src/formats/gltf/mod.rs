@@ -98,6 +98,8 @@ pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<S
         seen: vec![false; document.nodes.len()],
         instances: Vec::new(),
         offset: None,
+        others: 0,
+        morphed: false,
         still: Still { about: About { axes: Axes::LUF, ..About::default() }, ..Still::default() },
     };
     match document.scenes.get(document.scene.unwrap_or(0)) {
@@ -112,8 +114,23 @@ pub(super) fn within(bytes: &[u8], beside: &Beside, limits: &Limits) -> Result<S
     for (mesh, transform) in std::mem::take(&mut scene.instances) {
         scene.mesh(mesh, transform)?;
     }
+    let (others, morphed) = (scene.others, scene.morphed);
     let mut still = scene.still;
     still.about.offset = scene.offset.unwrap_or_default();
+    let notes = &mut still.about.notes;
+    if others > 0 {
+        notes.push(format!("primitives without Gaussians, such as meshes, are left out: {others}"));
+    }
+    let parts = [("animations", document.animations.is_empty()), ("skins", document.skins.is_empty())];
+    let parts: Vec<&str> =
+        parts.into_iter().chain([("morph targets", !morphed)]).filter(|part| !part.1).map(|part| part.0).collect();
+    if !parts.is_empty() {
+        notes.push(format!("the scene is read without its {}", parts.join(" and ")));
+    }
+    let unused: Vec<&str> = document.extensions_used.iter().filter(|name| !known(name)).map(String::as_str).collect();
+    if !unused.is_empty() {
+        notes.push(format!("extensions that are not read: {}", unused.join(", ")));
+    }
     Ok(still)
 }
 
@@ -167,6 +184,10 @@ struct Reading<'a> {
     /// Offset of the scene, in scene space: that of the first primitive.
     offset: Option<[f64; 3]>,
     still: Still,
+    /// Number of primitives without Gaussians.
+    others: usize,
+    /// True if a primitive has targets of morphing.
+    morphed: bool,
 }
 
 impl Reading<'_> {
@@ -210,6 +231,7 @@ impl Reading<'_> {
         let missing = || FormatError::new(format!("mesh {index}"), format!("{} meshes", meshes.len()), "none");
         for (i, primitive) in meshes.get(index).ok_or_else(missing)?.primitives.iter().enumerate() {
             let part = format!("mesh {index}, primitive {i}");
+            self.others += usize::from(!primitive.extensions.contains_key(EXTENSION));
             if primitive.extensions.contains_key(EXTENSION) {
                 let mut still = self.primitive(primitive, &part)?;
                 let mut by = similarity(transform, &part)?;
@@ -235,10 +257,16 @@ impl Reading<'_> {
         if primitive.mode != Some(0) {
             return wrong("mode", "0 (points)", primitive.mode.map_or("none".into(), |mode| mode.to_string()));
         }
+        if let Some(indices) = &primitive.indices {
+            return wrong("indices", "none", indices.to_string());
+        }
+        self.morphed |= !primitive.targets.is_empty();
         let extension = &primitive.extensions[EXTENSION];
         let mut notes = Vec::new();
-        if let Some(kernel) = extension.get("kernel").filter(|kernel| *kernel != "ellipse") {
-            notes.push(format!("{part}: kernel {kernel} is not known: drawn as ellipse"));
+        for (name, usual) in [("kernel", "ellipse"), ("projection", "perspective")] {
+            if let Some(other) = extension.get(name).filter(|other| *other != usual) {
+                notes.push(format!("{part}: {name} {other} is not known: drawn as {usual}"));
+            }
         }
         let linear = match extension.get("colorSpace").and_then(serde_json::Value::as_str) {
             None if extension.get("colorSpace").is_none() => false,

@@ -176,6 +176,28 @@ fn linear_colours_other_kernels_and_materials_are_read() {
 }
 
 #[test]
+fn parts_that_are_not_read_are_told() {
+    let (mut document, binary) = taken_apart(&formats::gltf::write(&still(2, 0)).bytes);
+    document["meshes"][0]["primitives"][0]["extensions"][EXTENSION]["projection"] = json!("orthographic");
+    document["meshes"][0]["primitives"][0]["targets"] = json!([{ "POSITION": 0 }]);
+    let primitives = document["meshes"][0]["primitives"].as_array_mut().expect("a list");
+    primitives.push(json!({ "attributes": { "POSITION": 0 }, "mode": 0 }));
+    document["animations"] = json!([{}]);
+    document["skins"] = json!([{}]);
+    document["extensionsUsed"] = json!([EXTENSION, "KHR_node_visibility", "KHR_materials_unlit"]);
+    let found = read(&together(&document, &binary)).expect("two Gaussians");
+    assert_eq!(
+        found.about.notes,
+        [
+            "mesh 0, primitive 0: projection \"orthographic\" is not known: drawn as perspective",
+            "primitives without Gaussians, such as meshes, are left out: 1",
+            "the scene is read without its animations and skins and morph targets",
+            "extensions that are not read: KHR_node_visibility"
+        ]
+    );
+}
+
+#[test]
 fn a_node_far_away_is_the_scenes_offset_and_comes_back() {
     let mut far = still(4, 1);
     far.about.offset = [431_250.0, 5_411_800.0, 312.0];
@@ -271,6 +293,7 @@ fn what_is_wrong_is_named() {
         ("/buffers/0/uri".into(), json!("../a.bin"), "file \"../a.bin\": expected a file beside this one"),
         ("/buffers/0/uri".into(), json!("data:;base64,*"), "buffer 0: expected base64"),
         ("/nodes/0".into(), json!({ "mesh": 0, "children": [0] }), "node 0: expected one node above it, found two"),
+        ("/meshes/0/primitives/0/indices".into(), json!(0), "mesh 0, primitive 0: indices: expected none, found 0"),
         ("/nodes/0".into(), json!({ "mesh": 7 }), "mesh 7: expected"),
         (
             "/nodes/0".into(),

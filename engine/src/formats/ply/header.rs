@@ -174,8 +174,9 @@ impl Header {
                 (["element", name, count], _) => elements.push(element(name, count, &elements)?),
                 // Without records, lists take no bytes.
                 (["property", "list", ..], Some(element)) if element.count == 0 => {}
-                (["property", "list", .., name], _) => {
-                    return Err(FormatError::new(format!("property {name}"), "a number", "a list"));
+                (["property", "list", .., name], Some(element)) => {
+                    let part = format!("element {}: property {name}", element.name);
+                    return Err(FormatError::new(part, "a number", "a list"));
                 }
                 (["property", kind, name], Some(element)) => {
                     let wrong = |expected, found| Err(FormatError::new(format!("property {name}"), expected, found));

@@ -161,12 +161,12 @@ fn what_is_wrong_is_named() {
         (
             "end_header",
             "element face 1\nproperty list uchar int a\nend_header",
-            "property a: expected a number, found a list",
+            "element face: property a: expected a number, found a list",
         ),
         (
             "property float opacity",
             "property list uchar int opacity",
-            "property opacity: expected a number, found a list",
+            "element vertex: property opacity: expected a number, found a list",
         ),
         (
             "property float opacity",

@@ -4,13 +4,17 @@
 //! a Gaussian is 1 if it is clamped to the range. Otherwise it is `min(1, (ε/σ)²)`, where ε is half a step and σ the
 //! largest standard deviation: a Gaussian that moves by its own width counts as lost. The number of least total cost is
 //! chosen; of equal ones, the one that clamps fewest. So a few stray Gaussians do not reduce the precision of the
-//! others, and a wide scene is not clamped.
+//! others, and a wide scene is not clamped. More than 12 bits are used only where these move small Gaussians by a tenth
+//! of their width or more, and where nothing is clamped by them.
 
 use crate::formats::notes::Notes;
 use crate::still::{Still, middle};
 
-/// Maximum number of fractional bits.
+/// Usual number of fractional bits, and the most that readers accept.
 const MOST_BITS: u32 = 12;
+const FINEST: u32 = 23;
+/// Cost per Gaussian above which more than the usual bits are used, where the range allows them.
+const COARSE: f64 = 0.01;
 /// One above the largest fixed-point number.
 const END: f64 = 8_388_608.0;
 /// Cost per Gaussian above which an offset is subtracted from the coordinates.
@@ -41,8 +45,11 @@ impl Fixed {
     /// Returns the best format with this offset, and its cost.
     fn best(still: &Still, places: &[usize], off: [f64; 3]) -> (Fixed, f64) {
         let at = |bits| Fixed { bits, off };
-        if places.iter().all(|&i| at(MOST_BITS).holds(still.mean[i])) {
-            return (at(MOST_BITS), at(MOST_BITS).cost(still, places));
+        let fits = |bits| places.iter().all(|&i| at(bits).holds(still.mean[i]));
+        if fits(MOST_BITS) {
+            let enough = |bits: &u32| at(*bits).cost(still, places) <= COARSE * places.len() as f64 || !fits(bits + 1);
+            let bits = (MOST_BITS..FINEST).find(enough).unwrap_or(FINEST);
+            return (at(bits), at(bits).cost(still, places));
         }
         (0..=MOST_BITS).map(|bits| (at(bits), at(bits).cost(still, places))).fold(
             (at(0), f64::INFINITY),

@@ -328,6 +328,16 @@ fn a_floater_costs_no_one_elses_precision_and_is_told() {
 }
 
 #[test]
+fn a_tiny_scene_keeps_its_places() {
+    let mut tiny = still(400, 0);
+    tiny.mean.iter_mut().flatten().for_each(|x| *x *= 1e-3);
+    tiny.log_scale.iter_mut().flatten().for_each(|x| *x = -9.0);
+    let found = read(&formats::spz::write(&tiny, SpzVersion::V3).bytes).expect("just written");
+    let width = (-9.0_f32).exp();
+    assert!((0..400).all(|i| (0..3).all(|k| (found.mean[i][k] - tiny.mean[i][k]).abs() <= 0.2 * width)));
+}
+
+#[test]
 fn a_wide_scene_is_not_cut_off_and_a_map_is_written_around_its_middle() {
     // A tenth of the Gaussians is at 3000 units, like a sky.
     let mut wide = still(400, 0);
