@@ -7,11 +7,13 @@
 //! | other matrices (bt2020c, ictcp, ycgco, chroma-derived) | ffmpeg's zscale filter converts to BT.709 |
 //! | no matrix | by size: BT.709 above 1024 columns or 576 rows, else BT.601, the usual matrices of these sizes ([`Matrix::of_size`]) |
 //! | range tv, pc | limited, full; untagged YCbCr is limited, untagged grey and RGB are full |
-//! | primaries bt2020, smpte431, smpte432 | zscale converts to BT.709, with the curve of BT.1886 for the BT.709 family |
+//! | primaries bt2020, smpte431, smpte432, film, bt470m | zscale converts to BT.709, with the curve of BT.1886 for the BT.709 family |
 //! | other primaries | treated as BT.709's: those of BT.601 are close, and players do the same |
 //! | transfer arib-std-b67, smpte2084 | high dynamic range: converted to BT.709 of standard range |
-//! | transfer linear | the curve of sRGB is applied |
+//! | transfer linear, log100, log316 | the curve of sRGB is applied |
 //! | other transfers | none: samples are display-referred |
+//!
+//! A note names primaries and transfers that are neither converted nor BT.709's or its equals.
 
 /// The factors of one Y'CbCr matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,6 +76,8 @@ pub(super) struct Tags {
     pub(super) matrix: Option<String>,
     pub(super) primaries: Option<String>,
     pub(super) transfer: Option<String>,
+    /// `tv` or `pc`.
+    pub(super) range: Option<String>,
 }
 
 /// A transfer curve of high dynamic range.
@@ -101,9 +105,18 @@ pub(super) enum Conversion {
 /// Names of matrices that zscale supports and our own arithmetic does not.
 const ELSEWHERE: [&str; 6] = ["bt2020c", "ictcp", "ycgco", "chroma-derived-nc", "chroma-derived-c", "smpte2085"];
 /// Primaries that are converted, with their names for people.
-const WIDE: [(&str, &str); 3] = [("bt2020", "BT.2020"), ("smpte431", "DCI-P3"), ("smpte432", "Display P3")];
+const WIDE: [(&str, &str); 5] = [
+    ("bt2020", "BT.2020"),
+    ("smpte431", "DCI-P3"),
+    ("smpte432", "Display P3"),
+    ("film", "generic film"),
+    ("bt470m", "BT.470 M"),
+];
+/// Transfers that get the curve of sRGB, with their names for people.
+const LIGHT: [(&str, &str); 3] =
+    [("linear", "linear light"), ("log100", "logarithmic light"), ("log316", "logarithmic light")];
 /// Transfers that zscale reads and writes; for others, BT.709's is used.
-const CURVES: [&str; 6] = ["bt709", "smpte170m", "bt2020-10", "bt2020-12", "iec61966-2-1", "linear"];
+const CURVES: [&str; 5] = ["bt709", "smpte170m", "bt2020-10", "bt2020-12", "iec61966-2-1"];
 
 impl Tags {
     /// Parses tags in ffmpeg's names; `unknown` and `reserved` count as absent.
@@ -111,7 +124,12 @@ impl Tags {
         let known = |name: Option<&str>| {
             name.filter(|name| !["unknown", "unspecified", "reserved", ""].contains(name)).map(ToOwned::to_owned)
         };
-        Tags { matrix: known(matrix), primaries: known(primaries), transfer: known(transfer) }
+        Tags { matrix: known(matrix), primaries: known(primaries), transfer: known(transfer), range: None }
+    }
+
+    /// Adds the range, if its name is known.
+    pub(super) fn with_range(self, name: Option<&str>) -> Tags {
+        Tags { range: name.filter(|name| ["tv", "pc"].contains(name)).map(ToOwned::to_owned), ..self }
     }
 
     /// Returns the conversion of pictures with these tags. `rgb`: their format is red, green and blue; `grey`: luma
@@ -129,19 +147,19 @@ impl Tags {
             return Conversion::HighRange { curve, assumed: format!("{matrix}{primaries}") };
         }
         let wide = WIDE.iter().find(|(name, _)| self.primaries.as_deref() == Some(name));
-        let linear = self.transfer.as_deref() == Some("linear");
+        let light = LIGHT.iter().find(|(name, _)| self.transfer.as_deref() == Some(name));
         let elsewhere = tag.filter(|name| !rgb && given.is_none() && ELSEWHERE.contains(name));
-        if wide.is_some() || linear || elsewhere.is_some() {
+        if wide.is_some() || light.is_some() || elsewhere.is_some() {
             let mut options = String::new();
             let mut from = Vec::new();
-            let transfer = self.transfer.as_deref().filter(|name| CURVES.contains(name));
+            let transfer = self.transfer.as_deref().filter(|name| light.is_some() || CURVES.contains(name));
             if transfer.is_none() {
                 // The filters need a transfer to convert to linear light.
                 options += ":tin=bt709";
             }
-            if linear {
+            if let Some((_, name)) = light {
                 options += ":t=iec61966-2-1";
-                from.push("linear light");
+                from.push(*name);
             } else {
                 // The curve does not change: input and output of the filter have the same one.
                 options += &format!(":t={}", transfer.unwrap_or("bt709"));
@@ -171,6 +189,26 @@ impl Tags {
     }
 }
 
+impl Tags {
+    /// Returns a note for each tag that is taken as if it were BT.709's.
+    pub(super) fn assumed(&self) -> Vec<String> {
+        let known = |table: &[(&str, &str)], name: &str| table.iter().any(|(known, _)| *known == name);
+        let primaries = self.primaries.as_deref().filter(|name| *name != "bt709" && !known(&WIDE, name));
+        let transfer = self.transfer.as_deref().filter(|name| {
+            !known(&LIGHT, name) && !CURVES.contains(name) && !["arib-std-b67", "smpte2084"].contains(name)
+        });
+        let note = |what: &str, name: &str| format!("the {what} {name} taken as BT.709's");
+        let primaries = primaries.map(|name| note("primaries", &format!("{name} are")));
+        primaries.into_iter().chain(transfer.map(|name| note("transfer", &format!("{name} is")))).collect()
+    }
+}
+
+/// Returns the note on a matrix chosen by size.
+pub(super) fn guessed(matrix: Matrix) -> String {
+    let matrix = title(matrix);
+    format!("the matrix is not stated: {matrix} was taken by the size of the pictures (--matrix takes another)")
+}
+
 /// Returns a matrix's name for zscale.
 fn zimg_name(matrix: Matrix) -> &'static str {
     match matrix {
@@ -183,7 +221,7 @@ fn zimg_name(matrix: Matrix) -> &'static str {
 }
 
 /// Returns a matrix's name for messages.
-pub(super) fn title(matrix: Matrix) -> &'static str {
+fn title(matrix: Matrix) -> &'static str {
     match matrix {
         Matrix::BT709 => "BT.709",
         Matrix::FCC => "FCC",
@@ -231,6 +269,26 @@ mod tests {
 
     fn tags(matrix: &str, primaries: &str, transfer: &str) -> Tags {
         Tags::of(Some(matrix), Some(primaries), Some(transfer))
+    }
+
+    #[test]
+    fn tags_that_are_not_converted_are_told() {
+        for (primaries, transfer, expected) in [
+            ("bt709", "bt709", &[][..]),
+            ("bt2020", "arib-std-b67", &[]),
+            ("film", "log100", &[]),
+            ("unknown", "iec61966-2-1", &[]),
+            (
+                "smpte170m",
+                "bt470bg",
+                &["the primaries smpte170m are taken as BT.709's", "the transfer bt470bg is taken as BT.709's"],
+            ),
+        ] {
+            assert_eq!(tags("bt709", primaries, transfer).assumed(), expected, "{primaries} {transfer}");
+        }
+        let film = tags("bt709", "film", "log100").conversion((320, 180), false, false, None);
+        let Conversion::Zscale { from, options } = film else { panic!("{film:?}") };
+        assert_eq!((&from[..], &options[..]), ("logarithmic light, generic film", ":t=iec61966-2-1:min=709:p=bt709"));
     }
 
     #[test]

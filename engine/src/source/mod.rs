@@ -171,6 +171,21 @@ impl Source {
         if alpha {
             notes.push(decode::OVER_GREY.to_owned());
         }
+        let rate_note = match (&kind, own) {
+            _ if options.fps.is_some() => None,
+            (Input::Images(_) | Input::Memory(_), _) => None,
+            (Input::Ffmpeg(video), Some(_)) => video.is_raw().then(|| {
+                "a raw stream need not state a rate, and ffmpeg then takes 25 a second (--fps takes another)".to_owned()
+            }),
+            (_, Some(_)) => None,
+            (_, None) => {
+                Some(format!("the rate is not stated: {DEFAULT_FPS} a second were taken (--fps takes another)"))
+            }
+        };
+        match &mut kind {
+            Input::Ffmpeg(video) => video.note(rate_note),
+            _ => notes.extend(rate_note),
+        }
         let square = match &kind {
             Input::Images(_) | Input::Memory(_) => None,
             Input::File(y4m) => y4m.header().square_size(),
@@ -430,7 +445,11 @@ mod tests {
         std::fs::write(&path, [frame, sample(r + 32768.0 / 65535.0)].concat()).expect("writable");
         let read = |matrix| {
             let mut source = Source::open(&path, &Options { matrix, ..Options::default() }).expect("valid");
-            assert_eq!(source.notes(), ["pixels of 4:3 were made square"]);
+            let expected = [
+                "pixels of 4:3 were made square",
+                "the rate is not stated: 24 a second were taken (--fps takes another)",
+            ];
+            assert_eq!(source.notes(), expected);
             let picture = source.next_frame().expect("valid").expect("a frame").picture;
             assert_eq!((picture.width, picture.height), (4, 2));
             picture.to_rgb8()[..3].to_vec()

@@ -260,6 +260,19 @@ def stream_cases():
          'program_num=2:st=1')
     yield lambda: reading('second.mkv', even(5), ['the video stream 0:0 (h264, 96×64) is left out'], [64, 48])
     yield lambda: reading('programs.ts', even(5), ['the video stream 0:0 (h264, 64×48) is left out'], [96, 64])
+    # Further sound and subtitles, alpha and transparent parts, and a stream without a container.
+    open(path('words.srt'), 'w').write('1\n00:00:00,000 --> 00:00:00,100\nWords\n')
+    sound = ['-f', 'lavfi', '-i', 'sine=d=0.2']
+    make('two-sounds.mkv', *moving(frames=5), *sound, *sound, '-i', path('words.srt'), '-map', '0', '-map', '1', '-map', '2', '-map', '3', *x264)
+    yield lambda: reading('two-sounds.mkv', even(5), ['the sound track 0:2 is left out', 'the subtitles 0:3 are left out'])
+    half = ['-vf', 'format=yuva420p,colorchannelmixer=aa=0.5']
+    make('alpha.webm', *moving(frames=5), *half, '-c:v', 'libvpx-vp9', '-pix_fmt', 'yuva420p')
+    yield lambda: reading('alpha.webm', even(5), ['the alpha plane is left out'])
+    hole = "format=rgba,geq=r='r(X,Y)':g='g(X,Y)':b='b(X,Y)':a='255*gt(X,20)',split[a][b];[a]palettegen=reserve_transparent=1[p];[b][p]paletteuse"
+    make('hole.gif', *lavfi(f'testsrc2=s={SMALL}:r=10:d=0.3'), '-vf', hole)
+    yield lambda: reading('hole.gif', even(3, 10), ['transparent parts of the GIF are taken as white'])
+    make('raw.mjpeg', *moving(frames=5), '-pix_fmt', 'yuvj420p')
+    yield lambda: reading('raw.mjpeg', even(5), ['a raw stream need not state a rate'])
     make('anim.avif', *moving(frames=5), '-c:v', 'libaom-av1', '-cpu-used', '8')
     yield lambda: reading('anim.avif', even(5), size=[64, 48])
 
@@ -271,6 +284,17 @@ def shape_cases():
     make('dv.avi', *lavfi('testsrc2=s=720x576:r=50:d=0.16,format=yuv420p'), '-vf', 'tinterlace=interleave_bottom,setfield=bff', '-c:v', 'dvvideo')
     yield lambda: reading('fields.mp4', None, ['interlaced frames were deinterlaced'])
     yield lambda: reading('dv.avi', None, ['interlaced frames were deinterlaced'])
+    # A message of a filter that turns pictures has no line end.
+    make('upright.mp4', *moving(), '-c:v', 'libx264', '-bf', '0')
+    make('turned.mp4', '-i', path('upright.mp4'), '-c', 'copy', '-metadata:s:v', 'rotate=10')
+    yield lambda: reading('turned.mp4', even(12))
+    # Properties that change within the video.
+    for name, more in [('first', ['-colorspace', 'bt709']), ('second', ['-colorspace', 'smpte170m', '-output_ts_offset', '1'])]:
+        make(f'{name}.ts', *moving(frames=5), '-c:v', 'libx264', '-bf', '0', *more)
+    open(path('changes.ts'), 'wb').write(open(path('first.ts'), 'rb').read() + open(path('second.ts'), 'rb').read())
+    # Newer versions convert the frames.
+    for readers in (READERS[:2], READERS[2:]):
+        yield lambda readers=readers: reading('changes.ts', None, ['from frame 5 on: the matrix smpte170m instead of bt709;'], readers=readers)
     make('wide.mp4', *moving(), '-vf', 'setsar=4/3', '-c:v', 'libx264', '-bf', '0')
     yield lambda: reading('wide.mp4', even(12), ['pixels of 4:3 were made square'], [85, 48])
     make('wide.y4m', *moving(frames=3), '-vf', 'setsar=4/3')

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use super::bright;
 use super::shown::Look;
-use crate::source::colour::{Conversion, Curve, Matrix, title};
+use super::{bright, program};
+use crate::source::colour::{Conversion, Curve, Matrix};
 use crate::source::y4m::header::made_square;
 
 /// Formats of Y'CbCr and grey that y4m has, in ffmpeg's names; ffmpeg picks the one nearest to the file's own.
@@ -13,6 +13,12 @@ const FORMATS: &str = "format=pix_fmts=yuv420p|yuv422p|yuv444p|yuvj420p|yuvj422p
 |gray10|gray12|gray16";
 /// Light that becomes white in standard range, in cd/m²: for a video that exceeds the first level, and for others.
 pub(super) const WHITE: [u32; 2] = [203, 100];
+
+/// Notes on alpha, of videos and of GIFs.
+pub(crate) const ALPHA: &str = "the alpha plane is left out";
+pub(crate) const GIF_HOLES: &str = "transparent parts of the GIF are taken as white";
+/// The number of a GIF's frames that are searched for transparent parts, and their size in pixels.
+const LOOKED_AT: (usize, usize) = (500, 1 << 26);
 
 /// The filters, and notes on them.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,19 +79,14 @@ impl Chain {
                 Samples::Matrix(Matrix::BT709)
             }
         };
-        // In a GIF, alpha marks pixels that keep the previous frame's value.
-        if !gif && has_alpha(&look.format) {
-            notes.push("the alpha plane is left out".to_owned());
+        // Alpha of a GIF marks pixels that no frame has covered yet; few have any.
+        notes.extend(look.tags.assumed());
+        let (frames, bytes) = LOOKED_AT;
+        let holes = || program::samples(path, stream, "alphaextract", frames, bytes).iter().any(|alpha| *alpha < 255);
+        if has_alpha(&look.format) && (!gif || holes()) {
+            notes.push(if gif { GIF_HOLES } else { ALPHA }.to_owned());
         }
         Chain { filters, notes, samples }
-    }
-
-    /// Returns a note on the matrix chosen by size.
-    pub(super) fn guess(matrix: Matrix) -> String {
-        format!(
-            "the matrix is not stated: {} was taken by the size of the pictures (--matrix takes another)",
-            title(matrix)
-        )
     }
 }
 

@@ -32,15 +32,19 @@ use std::path::{Path, PathBuf};
 use std::process::ChildStdout;
 
 use super::SourceError;
-use super::colour::Matrix;
+use super::colour::{self, Matrix};
 use super::y4m::{Header, Y4m};
 use crate::picture::Picture;
 use crate::source::Sound;
+pub(crate) use chain::{ALPHA, GIF_HOLES};
 use chain::{Chain, Samples};
 use program::Decoding;
 use running::{Complaints, First, Running};
 use streams::Listing;
 use times::Clock;
+
+/// Frames per second from which a rate is that of a container's clock.
+const CLOCK: f64 = 10_000.0;
 
 /// A video file being decoded by ffmpeg.
 pub struct Ffmpeg {
@@ -48,8 +52,8 @@ pub struct Ffmpeg {
     y4m: Y4m<BufReader<ChildStdout>>,
     path: PathBuf,
     clock: Clock,
-    /// Time stamp and size of the first frame.
-    first: (Option<i64>, (usize, usize)),
+    /// Time stamp of the first frame.
+    first: Option<i64>,
     notes: Vec<String>,
     sound: Option<String>,
     /// The stream's number.
@@ -57,12 +61,12 @@ pub struct Ffmpeg {
     /// Number of frames, if they were counted.
     counted: Option<usize>,
     uneven: bool,
+    /// True for frames without a container.
+    raw: bool,
     /// Number of frames that the file declares.
     announced: Option<usize>,
     rate: Option<(f64, f64)>,
     read: usize,
-    /// Index of the first frame whose size differs from the first frame's.
-    resized: Option<usize>,
 }
 
 impl Ffmpeg {
@@ -109,7 +113,7 @@ impl Ffmpeg {
             }
             listed = shown;
         }
-        let Some(First { tick: Some(tick), rate, time, size, look }) = first else {
+        let Some(First { tick: Some(tick), rate, time, look, .. }) = first else {
             running.kill();
             let (_, complaints) = running.end().map_err(SourceError::read(path))?;
             return Err(unreadable(path, &complaints));
@@ -123,11 +127,14 @@ impl Ffmpeg {
             }
         };
         notes.append(&mut listed.notes);
+        if matrix.is_some() {
+            running.told.push(shown::MATRIX);
+        }
         y4m.set_aspect(look.aspect);
         match listed.samples {
             Samples::Rgb => y4m.set_matrix(None),
             Samples::Matrix(matrix) => y4m.set_matrix(Some(matrix)),
-            Samples::Guessed => notes.extend(y4m.header().matrix.map(Chain::guess)),
+            Samples::Guessed => notes.extend(y4m.header().matrix.map(colour::guessed)),
         }
         let open = stream.rate_is_open();
         let counted =
@@ -143,7 +150,7 @@ impl Ffmpeg {
             y4m,
             path: path.to_owned(),
             clock,
-            first: (time, size),
+            first: time,
             notes,
             // The packets of a truncated file are fewer than its header declares.
             announced: match counted {
@@ -153,10 +160,11 @@ impl Ffmpeg {
             stream: stream.index,
             counted: counted.map(|count| count.frames),
             uneven,
+            raw: listing.raw,
             sound: listing.sound,
-            rate: mean.or(nominal),
+            // A still picture has the rate of a clock.
+            rate: mean.or(nominal.filter(|(frames, seconds)| *frames < CLOCK * *seconds)),
             read: 0,
-            resized: None,
         })
     }
 
@@ -194,7 +202,17 @@ impl Ffmpeg {
 
     /// Returns the seconds from the beginning of the file, which may be the start of its sound, to the first frame.
     pub fn start(&self) -> f64 {
-        self.first.0.map_or(0.0, |time| self.clock.seconds(time))
+        self.first.map_or(0.0, |time| self.clock.seconds(time))
+    }
+
+    /// Returns true for frames without a container, at the rate that ffmpeg assumes.
+    pub(super) fn is_raw(&self) -> bool {
+        self.raw && self.rate.is_some_and(|(frames, seconds)| (frames / seconds - 25.0).abs() < 1e-9)
+    }
+
+    /// Adds a note.
+    pub(super) fn note(&mut self, line: Option<String>) {
+        self.notes.extend(line);
     }
 
     /// Returns the notes: conversions of the pictures and parts of the file that are left out, a line each. Notes from
@@ -218,14 +236,12 @@ impl Ffmpeg {
             }
             Err(e) => return Err(e),
         };
-        let (time, size) = match self.read {
+        let time = match self.read {
             0 => self.first,
-            // A frame without a message gets no time stamp and the size of the first.
-            _ => self.running.frame(self.read).unwrap_or((None, self.first.1)),
+            // A frame without a message gets no time stamp.
+            _ => self.running.frame(self.read).flatten(),
         };
-        if size != self.first.1 {
-            self.resized.get_or_insert(self.read);
-        }
+        self.notes.append(&mut self.running.notes);
         self.read += 1;
         Ok(Some((picture, self.clock.next(time))))
     }
@@ -238,13 +254,9 @@ impl Ffmpeg {
                 "frames whose time is not after that of the frame before: {moved}; each was put right after it"
             ));
         }
-        if let Some(frame) = self.resized {
-            self.notes.push(format!(
-                "frames have another size from frame {frame} on; they were brought to that of the first"
-            ));
-        }
         let (succeeded, mut complaints) = self.running.end().map_err(SourceError::read(&self.path))?;
-        (self.clock.moved, self.resized) = (0, None);
+        self.notes.append(&mut self.running.notes);
+        self.clock.moved = 0;
         if let Some(cause) = broke {
             complaints.first.push(cause);
             complaints.count += 1;

@@ -22,9 +22,14 @@ pub(super) struct Running {
     child: Child,
     messages: Receiver<Message>,
     numbers: Numbers,
-    /// Number, time stamp and size of a later frame, received because an earlier frame's message is missing.
-    early: Option<(usize, Option<i64>, (usize, usize))>,
+    /// Number and time stamp of a later frame, received because an earlier frame's message is missing.
+    early: Option<(usize, Option<i64>)>,
     complaints: Option<JoinHandle<Complaints>>,
+    first: First,
+    /// Names of properties whose changes are told already, or do not matter.
+    pub(super) told: Vec<&'static str>,
+    /// Notes on frames that differ from the first.
+    pub(super) notes: Vec<String>,
 }
 
 /// Frame numbers since the start. ffmpeg restarts its count when it rebuilds its filters, for example for frames of
@@ -77,8 +82,18 @@ impl Running {
         let (sender, messages) = channel();
         // A separate thread reads the messages: a full pipe of messages would block the frames as well.
         let complaints = Some(std::thread::spawn(move || listen(stderr, &sender)));
-        let mut running = Running { child, messages, numbers: Numbers::default(), early: None, complaints };
+        let mut running = Running {
+            child,
+            messages,
+            numbers: Numbers::default(),
+            early: None,
+            complaints,
+            first: First::default(),
+            told: Vec::new(),
+            notes: Vec::new(),
+        };
         let first = running.first();
+        running.first = first.clone().unwrap_or_default();
         Ok((running, stdout, first))
     }
 
@@ -102,31 +117,67 @@ impl Running {
         Some(first)
     }
 
-    /// Returns time stamp and size of the frame with this number, whose picture has been read; `None` if it has no
-    /// message.
-    pub(super) fn frame(&mut self, wanted: usize) -> Option<(Option<i64>, (usize, usize))> {
+    /// Returns the time stamp of the frame with this number, whose picture has been read; `None` if it has no message.
+    /// Notes properties of frames that differ from the first's. Frames are read as the first; newer versions of ffmpeg
+    /// convert their matrix and range to the first's.
+    pub(super) fn frame(&mut self, wanted: usize) -> Option<Option<i64>> {
         loop {
-            let (number, time, size) = match self.early.take() {
+            let (number, time) = match self.early.take() {
                 Some(early) => early,
                 None => match self.messages.recv().ok()? {
-                    Message::Frame { number, time, size, .. } => (self.numbers.since_the_start(number), time, size),
+                    Message::Frame { number, time, size, look } => {
+                        let number = self.numbers.since_the_start(number);
+                        if size != self.first.size && self.is_news("the size") {
+                            self.notes.push(format!(
+                                "frames have another size from frame {number} on; they were brought to that of the first"
+                            ));
+                        }
+                        self.compare(&Look { tags: self.first.look.tags.clone(), ..look });
+                        (number, time)
+                    }
+                    Message::Colours(tags) => {
+                        self.compare(&Look { tags, ..self.first.look.clone() });
+                        continue;
+                    }
                     _ => continue,
                 },
             };
             if number > wanted {
-                self.early = Some((number, time, size));
+                self.early = Some((number, time));
                 return None;
             }
             if number == wanted {
-                return Some((time, size));
+                return Some(time);
             }
         }
+    }
+
+    /// Notes what differs between the latest frame and the first.
+    fn compare(&mut self, look: &Look) {
+        let number = self.numbers.base + self.numbers.last.unwrap_or_default();
+        let mut found = look.differing(&self.first.look);
+        found.retain(|(name, ..)| self.is_news(name));
+        let found: Vec<String> =
+            found.into_iter().map(|(name, here, first)| format!("{name} {here} instead of {first}")).collect();
+        if !found.is_empty() {
+            let found = found.join(", ");
+            self.notes
+                .push(format!("from frame {number} on: {found}; only newer versions of ffmpeg convert these frames"));
+        }
+    }
+
+    fn is_news(&mut self, name: &'static str) -> bool {
+        let news = !self.told.contains(&name);
+        self.told.extend(news.then_some(name));
+        news
     }
 
     /// Waits for the process to end; returns whether it succeeded, and its messages.
     pub(super) fn end(&mut self) -> std::io::Result<(bool, Complaints)> {
         let status = self.child.wait()?;
         let complaints = self.complaints.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
+        // The colours of the last frame are printed after it.
+        self.frame(usize::MAX);
         Ok((status.success(), complaints))
     }
 
@@ -149,7 +200,6 @@ fn listen(stderr: ChildStderr, sender: &Sender<Message>) -> Complaints {
     let mut found = Complaints::default();
     let mut input = BufReader::new(stderr);
     let mut line = Vec::new();
-    let mut coloured = false;
     while let Ok(1..) = Read::by_ref(&mut input).take(MAX_LINE).read_until(b'\n', &mut line) {
         let text = String::from_utf8_lossy(&line).into_owned();
         line.clear();
@@ -162,8 +212,6 @@ fn listen(stderr: ChildStderr, sender: &Sender<Message>) -> Complaints {
                     }
                 }
                 Message::Other => {}
-                // Only the first frame's colours are used.
-                Message::Colours(_) if std::mem::replace(&mut coloured, true) => {}
                 // The receiver may be gone; errors still count.
                 message => _ = sender.send(message),
             }

@@ -14,6 +14,39 @@ pub(super) struct Look {
     pub(super) tags: Tags,
 }
 
+impl Look {
+    /// Returns the properties that differ from the first frame's: a name, the value here, and the first frame's. A tag
+    /// that is absent here does not differ, and progressive frames pass the filter that deinterlaces.
+    pub(super) fn differing(&self, first: &Look) -> Vec<(&'static str, String, String)> {
+        let tag = |name, [here, first]: [&Option<String>; 2]| {
+            let here = here.as_ref().filter(|here| Some(*here) != first.as_ref())?;
+            Some((name, here.clone(), first.clone().unwrap_or_else(|| "not stated".to_owned())))
+        };
+        let (tags, theirs) = (&self.tags, &first.tags);
+        let mut found: Vec<_> = [
+            tag(MATRIX, [&tags.matrix, &theirs.matrix]),
+            tag("the range", [&tags.range, &theirs.range]),
+            tag("the primaries", [&tags.primaries, &theirs.primaries]),
+            tag("the transfer", [&tags.transfer, &theirs.transfer]),
+        ]
+        .into_iter()
+        .flatten()
+        .collect();
+        let aspect =
+            |look: &Look| look.aspect.map_or("square".to_owned(), |(width, height)| format!("{width}:{height}"));
+        if self.aspect != first.aspect {
+            found.push(("the shape of pixels", aspect(self), aspect(first)));
+        }
+        if self.interlaced && !first.interlaced {
+            found.push(("the scan", "interlaced".to_owned(), "progressive".to_owned()));
+        }
+        found
+    }
+}
+
+/// Name of the matrix in [`Look::differing`].
+pub(super) const MATRIX: &str = "the matrix";
+
 /// A line of messages, as printed with `-v repeat+level+info`.
 #[derive(Debug, PartialEq)]
 pub(super) enum Message {
@@ -45,7 +78,7 @@ impl Message {
             return if harmless || text.is_empty() { Message::Other } else { Message::Complaint(text.to_owned()) };
         }
         // The context is missing if another thread's message came first on the line.
-        if !context.contains("showinfo") && !starts_a_frame(text) {
+        if !context.contains("showinfo") && !starts(text) {
             return Message::Other;
         }
         if let Some(rest) = text.strip_prefix("config in ") {
@@ -68,10 +101,16 @@ impl Message {
         if text.starts_with("color_range:") {
             let [matrix, primaries, transfer] =
                 ["color_space:", "color_primaries:", "color_trc:"].map(|key| value(text, key));
-            return Message::Colours(Tags::of(matrix, primaries, transfer));
+            let range = value(text, "color_range:");
+            return Message::Colours(Tags::of(matrix, primaries, transfer).with_range(range));
         }
         Message::Other
     }
+}
+
+/// Returns true for text with which a message of the filter starts.
+fn starts(text: &str) -> bool {
+    starts_a_frame(text) || ["config in time_base:", "color_range:"].iter().any(|start| text.starts_with(start))
 }
 
 /// Returns true for text like `n:   7 pts: 280 …`.
@@ -82,15 +121,15 @@ fn starts_a_frame(text: &str) -> bool {
 }
 
 /// Splits a line into messages. The filter writes a line in several pieces, and other threads of ffmpeg may write
-/// messages between them. A context after other text, or a frame's number, starts a message.
+/// messages between them. A context after other text, or the start of one of the filter's messages, starts a message.
 pub(super) fn messages(line: &str) -> Vec<&str> {
     let mut parts = Vec::new();
     let mut start = 0;
-    for (at, first) in line.char_indices().filter(|&(at, c)| at > 0 && (c == '[' || c == 'n')) {
+    for (at, first) in line.char_indices().filter(|&(at, c)| at > 0 && matches!(c, '[' | 'n' | 'c')) {
         let (before, rest) = (line[start..at].trim_end(), &line[at..]);
         let begins = || match first {
             '[' => rest.find(']').is_some_and(|end| rest[..end].contains(" @ 0x")),
-            _ => starts_a_frame(rest),
+            _ => starts(rest),
         };
         if !before.is_empty() && !before.ends_with(']') && begins() {
             parts.push(&line[start..at]);
@@ -153,7 +192,39 @@ mod tests {
             matches!(Message::parse(none), Message::Frame { number: 0, time: None, size: (8, 6), look } if look.aspect.is_none())
         );
         let colours = "[Parsed_showinfo_0 @ 0x1] [info] color_range:tv color_space:bt470bg color_primaries:unknown color_trc:unknown";
-        assert_eq!(Message::parse(colours), Message::Colours(Tags::of(Some("bt470bg"), None, None)));
+        assert_eq!(
+            Message::parse(colours),
+            Message::Colours(Tags::of(Some("bt470bg"), None, None).with_range(Some("tv")))
+        );
+    }
+
+    #[test]
+    fn a_message_without_its_line_end_does_not_hide_the_next() {
+        let line = "[Parsed_rotate_1 @ 0x5] [warning] please write to ffmpeg-devel@ffmpeg.org)config in time_base: 1/10240, frame_rate: 24/1";
+        let found: Vec<Message> = messages(line).into_iter().map(Message::parse).collect();
+        assert_eq!(found, [Message::Other, Message::Config { tick: (1, 10240), rate: Some((24, 1)) }]);
+    }
+
+    #[test]
+    fn properties_that_differ_from_the_first_frames_are_named() {
+        let first = Look { tags: Tags::of(Some("bt709"), None, None).with_range(Some("tv")), ..Look::default() };
+        assert_eq!(first.differing(&first), []);
+        // Tags that are absent, and progressive frames after interlaced ones.
+        assert_eq!(Look::default().differing(&Look { interlaced: true, ..first.clone() }), []);
+        let tags = Tags::of(Some("smpte170m"), None, Some("arib-std-b67")).with_range(Some("pc"));
+        let other = Look { aspect: Some((2, 1)), interlaced: true, tags, ..Look::default() };
+        let found: Vec<String> =
+            other.differing(&first).into_iter().map(|(name, here, first)| format!("{name} {here} {first}")).collect();
+        assert_eq!(
+            found,
+            [
+                "the matrix smpte170m bt709",
+                "the range pc tv",
+                "the transfer arib-std-b67 not stated",
+                "the shape of pixels 2:1 square",
+                "the scan interlaced progressive"
+            ]
+        );
     }
 
     #[test]

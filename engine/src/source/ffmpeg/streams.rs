@@ -8,6 +8,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::path::Path;
 
+use super::chain::ALPHA;
 use super::program;
 use super::shown::Look;
 use crate::source::colour::Tags;
@@ -18,6 +19,9 @@ const MOST_FRAMES: f64 = 1e9;
 const SAME_RATE: f64 = 0.01;
 /// Fraction of the longest stream's length from which a stream counts as equally long.
 const AS_LONG: f64 = 0.5;
+
+/// ffmpeg's names of formats that are frames without a container.
+const RAW: [&str; 7] = ["mjpeg", "obu", "h264", "hevc", "vvc", "m4v", "vc1"];
 
 /// Names that denote a matrix, primaries and a transfer; the list prints one name where all three are the same.
 const SHARED: [&str; 4] = ["bt709", "bt470bg", "smpte170m", "smpte240m"];
@@ -44,6 +48,8 @@ pub(super) struct Stream {
     still: bool,
     /// True for a part of another stream's pictures.
     dependent: bool,
+    /// Properties that are not used, a line each.
+    notes: Vec<String>,
 }
 
 /// Content of a file.
@@ -52,6 +58,8 @@ pub(super) struct Listing {
     pub(super) videos: Vec<Stream>,
     /// Codec of the first sound track, in ffmpeg's names.
     pub(super) sound: Option<String>,
+    /// Notes on further sound tracks and on subtitles.
+    others: Vec<String>,
     /// Seconds of the longest stream (`duration`), and the time when the first one starts.
     duration: Option<f64>,
     start: Option<f64>,
@@ -61,6 +69,8 @@ pub(super) struct Listing {
     pub(super) joined: bool,
     /// True for text, which ffmpeg draws as a terminal would.
     text: bool,
+    /// True for frames without a container.
+    pub(super) raw: bool,
     /// True for Matroska: its rates are only declarations, which the frames' times may contradict.
     pub(super) declared: bool,
 }
@@ -89,11 +99,15 @@ impl Listing {
             let depth = line.len() - line.trim_start().len();
             let line = line.trim_start();
             if depth > deepest {
+                if let Some(stream) = found.videos.last_mut() {
+                    stream.notes.extend(mark(line));
+                }
                 continue;
             }
             if let Some(format) = line.strip_prefix("Input #0, ") {
                 found.joined = format.starts_with("mpegts");
                 found.declared = format.starts_with("matroska");
+                found.raw = RAW.contains(&first_word(format));
                 found.text = format.starts_with("tty,");
             } else if let Some(rest) = line.strip_prefix("Duration: ") {
                 found.duration = rest.split(',').next().and_then(clock);
@@ -105,7 +119,9 @@ impl Listing {
             } else if let Some((index, kind, rest)) = stream(line) {
                 match kind {
                     "Video" => found.videos.extend(video(index, rest)),
-                    "Audio" => _ = found.sound.get_or_insert_with(|| first_word(rest).to_owned()),
+                    "Audio" if found.sound.is_none() => found.sound = Some(first_word(rest).to_owned()),
+                    "Audio" => found.others.push(format!("the sound track 0:{index} is left out")),
+                    "Subtitle" => found.others.push(format!("the subtitles 0:{index} are left out")),
                     _ => {}
                 }
             }
@@ -152,7 +168,7 @@ impl Listing {
                 let (width, height) = stream.size;
                 format!("the {kind} 0:{} ({}, {width}×{height}) is left out", stream.index, stream.codec)
             });
-        Some((chosen, left_out.collect()))
+        Some((chosen, left_out.chain(chosen.notes.iter().chain(&self.others).cloned()).collect()))
     }
 
     /// Estimates the number of frames in a stream from the file's duration, the stream's mean rate and, if already
@@ -188,6 +204,19 @@ fn stream(line: &str) -> Option<(usize, &str, &str)> {
     let (_, rest) = rest[digits..].split_once(": ")?;
     let (kind, rest) = rest.split_once(": ")?;
     Some((index, kind, rest))
+}
+
+/// Returns the note on a line of a stream's metadata.
+fn mark(line: &str) -> Option<String> {
+    let (name, value) = line.split_once(':')?;
+    match (name.trim_end(), value.trim_start()) {
+        // ffmpeg's own decoder of VP8 and VP9 omits it.
+        ("alpha_mode", "1") => Some(ALPHA.to_owned()),
+        ("stereo3d", kind) if !kind.starts_with("2D") => {
+            Some(format!("the pictures are marked as stereo ({kind}): they are taken as they are stored"))
+        }
+        _ => None,
+    }
 }
 
 fn first_word(text: &str) -> &str {
@@ -273,12 +302,15 @@ fn video(index: usize, text: &str) -> Option<Stream> {
     for word in inside.trim_end_matches(')').split(", ") {
         match word {
             _ if word.starts_with("top ") || word.starts_with("bottom ") => found.look.interlaced = true,
+            "tv" | "pc" => found.look.tags.range = Some(word.to_owned()),
             _ => {
                 let mut names = word.split('/');
                 let (matrix, primaries, transfer) = (names.next(), names.next(), names.next());
                 if primaries.is_some() || matrix.is_some_and(|name| SHARED.contains(&name)) {
                     // A single name is printed if matrix, primaries and transfer are the same.
+                    let range = found.look.tags.range.take();
                     found.look.tags = Tags::of(matrix, primaries.or(matrix), transfer.or(matrix));
+                    found.look.tags.range = range;
                 }
             }
         }
@@ -404,7 +436,7 @@ At least one output file must be specified
         let listing = Listing::parse(COVER);
         assert_eq!((listing.videos.len(), listing.sound.as_deref()), (2, Some("aac")));
         let video = &listing.videos[1];
-        let tags = Tags::of(Some("bt709"), Some("bt709"), Some("bt709"));
+        let tags = Tags::of(Some("bt709"), Some("bt709"), Some("bt709")).with_range(Some("tv"));
         let look = Look { format: "yuv444p".into(), aspect: Some((3, 2)), interlaced: true, tags };
         assert_eq!((video.index, &video.codec[..], video.size, &video.look), (1, "h264", (320, 180), &look));
         assert!(video.default && !video.cover && listing.videos[0].cover && !video.rate_is_open());
@@ -439,6 +471,36 @@ At least one output file must be specified
         assert_eq!(chosen([true, true], [64, 96], [1.0, 1.0]), 1);
         assert_eq!(chosen([true, true], [64, 96], [1.0, 0.2]), 0);
         assert_eq!(chosen([false, true], [96, 64], [1.0, 0.2]), 1);
+    }
+
+    #[test]
+    fn parts_and_marks_that_are_not_used_are_told() {
+        let listing = Listing::parse(
+            "Input #0, matroska,webm, from 'a.webm':
+  Metadata:
+    title           : alpha_mode : 1
+  Stream #0:0: Video: vp9 (Profile 0), yuv420p(tv, progressive), 64x48, SAR 1:1 DAR 4:3, 10 fps, 10 tbr, 1k tbn
+    Metadata:
+      alpha_mode      : 1
+    Side data:
+      stereo3d: side by side
+  Stream #0:1: Audio: opus, 48000 Hz, mono, fltp
+  Stream #0:2(ger): Audio: opus, 48000 Hz, mono, fltp
+  Stream #0:3(ger): Subtitle: subrip
+",
+        );
+        let (_, notes) = listing.choose(Vec::new).expect("a video");
+        assert_eq!(listing.sound.as_deref(), Some("opus"));
+        assert_eq!(
+            notes,
+            [
+                ALPHA,
+                "the pictures are marked as stereo (side by side): they are taken as they are stored",
+                "the sound track 0:2 is left out",
+                "the subtitles 0:3 are left out"
+            ]
+        );
+        assert!(!listing.raw && Listing::parse("Input #0, mjpeg, from 'a.mjpeg':\n").raw);
     }
 
     #[test]
