@@ -23,14 +23,29 @@ pub(crate) fn ends_in(path: &Path, extensions: &[&str]) -> bool {
 /// other files are left out.
 ///
 /// # Errors
-/// A folder that cannot be read.
+/// A folder that cannot be read, and a link of such a name that leads nowhere.
 pub(crate) fn list(folder: &Path, extensions: &[&str]) -> io::Result<Vec<PathBuf>> {
+    files(folder, |path| ends_in(path, extensions))
+}
+
+/// Lists the files of `folder` that are no images, in natural order; hidden ones and subfolders are left out.
+///
+/// # Errors
+/// A folder that cannot be read.
+pub(crate) fn others(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    files(folder, |path| !is_image(path) && path.is_file())
+}
+
+fn files(folder: &Path, wanted: impl Fn(&Path) -> bool) -> io::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder)? {
         let entry = entry?;
-        let path = entry.path();
-        let hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
-        if !hidden && ends_in(&path, extensions) && path.is_file() {
+        let (path, name) = (entry.path(), entry.file_name());
+        if name.as_encoded_bytes().starts_with(b".") || !wanted(&path) {
+            continue;
+        }
+        let found = path.metadata().map_err(|e| io::Error::new(e.kind(), format!("{}: {e}", name.display())))?;
+        if found.is_file() {
             files.push(path);
         }
     }
@@ -47,9 +62,9 @@ pub fn images(folder: &Path) -> io::Result<Vec<PathBuf>> {
     list(folder, &EXTENSIONS)
 }
 
-/// Returns true if a folder has an image.
+/// Returns true if a folder has an image, or cannot be read.
 pub fn has_images(folder: &Path) -> bool {
-    images(folder).is_ok_and(|files| !files.is_empty())
+    !images(folder).is_ok_and(|files| files.is_empty())
 }
 
 #[cfg(test)]
@@ -69,5 +84,9 @@ mod tests {
             .map(|p| p.file_name().and_then(|n| n.to_str()).expect("UTF-8").to_owned())
             .collect();
         assert_eq!(names, ["f9.PNG", "f10.png", "f011.jpg"]);
+        assert_eq!(
+            others(folder.path()).expect("two others"),
+            ["notes.txt", "png"].map(|name| folder.path().join(name))
+        );
     }
 }

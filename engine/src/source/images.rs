@@ -29,7 +29,15 @@ impl Images {
         if files.is_empty() {
             return Err(SourceError::EmptyFolder { path: path.to_owned() });
         }
-        Ok(Images::new(files, None))
+        let mut images = Images::new(files, None);
+        let others = folder::others(path).map_err(SourceError::read(path))?;
+        if let Some(name) = others.first().and_then(|first| first.file_name()) {
+            let more = others.len() - 1;
+            let more = if more > 0 { format!(", and {more} more") } else { String::new() };
+            let name = name.display();
+            images.notes.insert(0, format!("left out, as it is no image of a kind that is read: {name}{more}"));
+        }
+        Ok(images)
     }
 
     /// Opens the frames of one file.

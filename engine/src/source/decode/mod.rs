@@ -60,7 +60,7 @@ pub(crate) fn read_file(path: &Path) -> Result<Vec<u8>, SourceError> {
 }
 
 /// Note on alpha.
-pub(super) const OVER_GREY: &str = "transparent parts are laid over mid grey";
+pub(crate) const OVER_GREY: &str = "transparent parts are laid over mid grey";
 /// Note on colours outside the display's range.
 const CLAMPED: &str = "colours outside 0 to 1 are clamped";
 /// Note on CMYK.
@@ -99,11 +99,32 @@ pub fn still(bytes: &[u8], path: &Path) -> Result<Still, SourceError> {
     if let Some(several) = Several::of(bytes, path)? {
         return Err(several.refusal(path));
     }
-    match bytes {
+    let mut found = match bytes {
         [0xff, 0xd8, ..] => jpeg::decode(bytes, path),
         [0x76, 0x2f, 0x31, 0x01, ..] => exr::decode(bytes, path),
         _ if tiff::is(bytes) => tiff::page(bytes, 0, path),
         _ => common::decode(bytes, path),
+    }?;
+    if let Some((x, y)) = density(bytes).filter(|(x, y)| x.abs_diff(*y) > x / 100 && *x > 0 && *y > 0) {
+        found.notes.push(format!("pixels of {y}:{x}, by the resolution in the file, are taken as square"));
+    }
+    Ok(found)
+}
+
+/// Returns the pixels per unit along x and y that a PNG or a JPEG of JFIF declares.
+fn density(bytes: &[u8]) -> Option<(u32, u32)> {
+    if bytes.starts_with(&[0xff, 0xd8, 0xff, 0xe0]) && bytes.get(6..11) == Some(b"JFIF\0") {
+        let side = |at: usize| Some(u32::from(u16::from_be_bytes(*bytes.get(at..)?.first_chunk()?)));
+        return side(14).zip(side(16));
+    }
+    let mut rest = bytes.strip_prefix(b"\x89PNG\r\n\x1a\n")?;
+    loop {
+        let word = |at: usize| Some(u32::from_be_bytes(*rest.get(at..)?.first_chunk()?));
+        match rest.get(4..8)? {
+            b"pHYs" => return word(8).zip(word(12)),
+            b"IDAT" => return None,
+            _ => rest = rest.get((word(0)? as usize).checked_add(12)?..)?,
+        }
     }
 }
 

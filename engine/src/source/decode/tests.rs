@@ -244,3 +244,16 @@ fn a_file_of_several_frames_is_no_picture() {
     }
     assert!(error(pages.get_ref(), "a.tif").contains("found a TIFF of 2 pages"));
 }
+
+#[test]
+fn pixels_that_are_not_square_are_told() {
+    let picture = DynamicImage::ImageRgb8(RgbImage::new(2, 2));
+    let (plain, mut jpeg) = (png(&picture), jpeg(8, 8, |_, _| 9));
+    let notes = |bytes: &[u8]| still(bytes, Path::new("a")).expect("an image").notes;
+    assert_eq!((notes(&plain), notes(&jpeg)), (Vec::new(), Vec::new()));
+    let resolution = [&2000_u32.to_be_bytes()[..], &1000_u32.to_be_bytes(), &[1]].concat();
+    let wide = with_chunks(&plain, &[chunk(b"pHYs", &resolution)]);
+    assert_eq!(notes(&wide), ["pixels of 1000:2000, by the resolution in the file, are taken as square"]);
+    jpeg.splice(2..2, *b"\xff\xe0\0\x10JFIF\0\x01\x01\x01\0\x90\0\x48\0\0");
+    assert_eq!(notes(&jpeg), ["pixels of 72:144, by the resolution in the file, are taken as square"]);
+}
