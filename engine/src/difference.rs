@@ -122,7 +122,16 @@ impl From<&Picture> for Part {
             samples: Samples::F32(rgb[at * plane..(at + 1) * plane].to_vec()),
         };
         let channels = ["R", "G", "B"].into_iter().enumerate().map(channel).collect();
-        Part { name: String::new(), width, height, channels, premultiplied: false, windows: None, shown: None }
+        Part {
+            name: String::new(),
+            width,
+            height,
+            channels,
+            premultiplied: false,
+            windows: None,
+            shown: None,
+            notes: Vec::new(),
+        }
     }
 }
 

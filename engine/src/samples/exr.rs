@@ -102,6 +102,7 @@ fn levels(
                     premultiplied: true,
                     windows: Some(windows),
                     shown: None,
+                    notes: Vec::new(),
                 });
             }
             let samples = match samples {

@@ -218,6 +218,8 @@ pub struct Part {
     pub windows: Option<Windows>,
     /// Time at which it is shown, in seconds, and its duration, if known.
     pub shown: Option<(f64, Option<f64>)>,
+    /// Conversions of a video's frames, and parts of the file that are left out, a line each; each line once in a file.
+    pub notes: Vec<String>,
 }
 
 impl Part {
@@ -248,6 +250,7 @@ impl Part {
             premultiplied: false,
             windows: None,
             shown: None,
+            notes: Vec::new(),
         }
     }
 

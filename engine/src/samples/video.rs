@@ -7,12 +7,19 @@ use std::path::Path;
 use super::{Channel, Part, Parts, Samples};
 use crate::source::y4m::Y4m;
 use crate::source::y4m::header::Chroma;
-use crate::source::{Options, Source, SourceError};
+use crate::source::{Options, Source, SourceError, decode, ffmpeg};
 
 /// Every frame as RGB.
 pub(super) fn read(path: &Path) -> Result<Parts, SourceError> {
     let mut source = Source::open(path, &Options::default())?;
-    let mut ended = false;
+    if [ffmpeg::ALPHA, ffmpeg::GIF_HOLES, decode::OVER_GREY]
+        .iter()
+        .any(|alpha| source.notes().iter().any(|note| note == alpha))
+    {
+        let cause = "expected a video without alpha, found one with it: compare folders of its frames as PNG files";
+        return Err(SourceError::Decode { path: path.to_owned(), cause: cause.to_owned() });
+    }
+    let (mut ended, mut noted) = (false, 0);
     Ok(Box::new(std::iter::from_fn(move || {
         if ended {
             return None;
@@ -38,7 +45,9 @@ pub(super) fn read(path: &Path) -> Result<Parts, SourceError> {
                     premultiplied: false,
                     windows: None,
                     shown: Some((frame.timestamp, None)),
+                    notes: source.notes()[noted..].to_vec(),
                 };
+                noted += part.notes.len();
                 part.shown = part.shown.filter(|(start, _)| start.is_finite());
                 Some(Ok(part))
             }
@@ -101,7 +110,16 @@ fn frames(mut y4m: Y4m<BufReader<File>>) -> Parts {
                 let shown = header.rate.map(|(frames, seconds)| (index as f64 * seconds as f64 / frames as f64, None));
                 let name = format!("frame {index}");
                 index += 1;
-                Some(Ok(Part { name, width, height, channels, premultiplied: false, windows: None, shown }))
+                Some(Ok(Part {
+                    name,
+                    width,
+                    height,
+                    channels,
+                    premultiplied: false,
+                    windows: None,
+                    shown,
+                    notes: Vec::new(),
+                }))
             }
             Err(e) => Some(Err(e)),
         };

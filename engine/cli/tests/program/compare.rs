@@ -141,6 +141,32 @@ fn videos_are_compared_frame_by_frame() {
 }
 
 #[test]
+fn videos_with_alpha_that_would_not_be_compared_are_refused_and_conversions_are_said() {
+    let scratch = Scratch::new();
+    let [alpha, a, b] = ["alpha.y4m", "a.y4m", "b.y4m"].map(|name| scratch.path(name));
+    std::fs::write(&alpha, "YUV4MPEG2 W1 H1 F24:1 C444alpha\nFRAME\nabca").expect("writable");
+    std::fs::write(&a, "YUV4MPEG2 W2 H2 F24:1 C444 A2:1\nFRAME\naaaabbbbcccc").expect("writable");
+    std::fs::write(&b, "YUV4MPEG2 W2 H2 F24:1 C422 A2:1\nFRAME\naaaabbcc").expect("writable");
+    let text = fails(&compare(&alpha, &a, &[]), 1);
+    assert!(text.contains("alpha.y4m: expected a video without alpha, found one with it"), "{text}");
+    // Two of one layout are compared by their planes, alpha too.
+    assert!(compare(&alpha, &alpha, &[]).status.success());
+    let output = compare(&a, &b, &[]);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success() && said.contains("a.y4m: pixels of 2:1 were made square"), "{said}");
+}
+
+#[test]
+fn a_runs_frames_are_compared_with_a_folder_of_images() {
+    let scratch = Scratch::new();
+    let (clip, out) = (scratch.clip("clip", 3, 80, 48), scratch.path("out"));
+    crate::support::run_ok(&clip, &out, &[]);
+    let output = compare(&out, &out.join("frames"), &[]);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success() && said.contains("out: its frames alone are compared"), "{said}");
+}
+
+#[test]
 fn one_bit_of_a_scene_is_found_with_its_gaussian_and_property() {
     let scratch = Scratch::new();
     let [a, b, c] = ["a.ply", "b.ply", "c.ply"].map(|name| scratch.path(name));
@@ -220,15 +246,18 @@ fn chunk(kind: &[u8; 4], data: &[u8]) -> Vec<u8> {
     [&(data.len() as u32).to_be_bytes()[..], &body, &crc.sum().to_be_bytes()].concat()
 }
 
-/// Builds an animated PNG of grey frames of 2x1 pixels.
-fn apng(frames: &[[u8; 2]]) -> Vec<u8> {
+/// Builds an animated PNG of grey frames of 2x1 pixels; the first pixel of each is its duration in tenths of a second.
+pub fn apng(frames: &[[u8; 2]]) -> Vec<u8> {
     let mut bytes = b"\x89PNG\r\n\x1a\n".to_vec();
     bytes.extend(chunk(b"IHDR", &[0, 0, 0, 2, 0, 0, 0, 1, 8, 0, 0, 0, 0]));
     bytes.extend(chunk(b"acTL", &[&(frames.len() as u32).to_be_bytes()[..], &[0; 4]].concat()));
     let mut sequence = 0_u32;
     for (at, frame) in frames.iter().enumerate() {
-        let control =
-            [sequence, 2, 1, 0, 0].iter().flat_map(|v| v.to_be_bytes()).chain([0, 1, 0, 10, 0, 0]).collect::<Vec<u8>>();
+        let control = [sequence, 2, 1, 0, 0]
+            .iter()
+            .flat_map(|v| v.to_be_bytes())
+            .chain([0, frame[0], 0, 10, 0, 0])
+            .collect::<Vec<u8>>();
         bytes.extend(chunk(b"fcTL", &control));
         sequence += 1;
         let mut packed = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::default());

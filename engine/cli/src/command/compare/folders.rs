@@ -80,7 +80,7 @@ impl Content {
 
     /// Returns true if some files are directly in this folder.
     fn is_flat(&self) -> bool {
-        self.entries.keys().any(|name| !name.contains('/'))
+        self.entries.iter().any(|(name, (kind, _))| *kind == Entry::File && !name.contains('/'))
     }
 }
 

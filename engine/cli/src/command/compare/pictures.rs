@@ -23,6 +23,11 @@ pub fn parts(paths: [&Path; 2], name: &str, account: &mut Account) -> Result<(),
     let [mut a, mut b]: [Parts; 2] = samples::open_both(paths)?;
     for index in 0.. {
         let (one, other) = (a.next().transpose()?, b.next().transpose()?);
+        for (path, part) in paths.iter().zip([&one, &other]) {
+            part.iter()
+                .flat_map(|part| &part.notes)
+                .for_each(|note| account.note(format!("{}: {note}", file_name(path))));
+        }
         let part = match one.as_ref().or(other.as_ref()) {
             None if index == 0 => {
                 let [a, b] = paths.map(|path| path.display().to_string());
