@@ -214,6 +214,16 @@ impl DepthMaps {
     }
 }
 
+impl DepthMaps {
+    /// Returns true for a map of [`DepthMaps::map`] without depth to use: nothing was measured, or everything has one
+    /// value, unless that is a part of a larger range.
+    pub(crate) fn is_flat(&self, map: &[f32]) -> bool {
+        let mut measured = map.iter().filter(|value| value.is_finite());
+        let ranges = self.range.is_some_and(|(least, most)| most > least);
+        measured.next().is_none_or(|first| !ranges && measured.all(|value| value == first))
+    }
+}
+
 /// Returns true if a map has the proportions of its frame with width and height interchanged.
 fn is_turned([wide, high]: [usize; 2], [width, height]: [usize; 2]) -> bool {
     let (map, frame) = (wide as f64 / high as f64, width as f64 / height as f64);
@@ -380,6 +390,18 @@ mod tests {
         let map = maps.map(0, 4, 1).expect("readable");
         assert!(map[0].is_nan());
         assert_eq!((map[1], map[2]), (1.0, 0.0));
+    }
+
+    #[test]
+    fn maps_without_depth_to_use_are_flat() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        for (name, values) in [("1", [0, 0]), ("2", [7, 7]), ("3", [0, 7]), ("4", [8, 9])] {
+            png16(&folder.path().join(format!("{name}.png")), 2, values.to_vec());
+        }
+        for (range, flat) in [(Range::Frame, [true, true, true, false]), (Range::Clip, [true, false, false, false])] {
+            let maps = DepthMaps::open_as(folder.path(), None, range, Values::Depth).expect("four maps");
+            assert_eq!([0, 1, 2, 3].map(|i| maps.is_flat(&maps.map(i, 2, 1).expect("readable"))), flat);
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::output::{VIDEOS, VideoFormat, qualities};
+use crate::output::{Pace, VIDEOS, VideoFormat, qualities};
 
 use crate::run::Error;
 
@@ -79,6 +79,15 @@ impl Destination {
                 )))
             }
         }
+    }
+
+    /// Returns a note if the file cannot hold the times of images at this pace.
+    pub fn without_times(&self, pace: Pace) -> Option<String> {
+        let y4m = matches!(self, Destination::Video(_, VideoFormat::Y4m));
+        (pace.uneven && y4m).then(|| {
+            let fps = pace.fps;
+            format!("y4m holds no times: images follow each other at {fps:.3} a second, unlike the frames")
+        })
     }
 
     /// Returns true for a video, written or encoded.

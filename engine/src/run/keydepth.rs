@@ -114,6 +114,11 @@ impl KeyDepth {
         }
     }
 
+    /// Returns true for a map of a file without depth to use.
+    pub fn is_flat(&self, map: &[f32]) -> bool {
+        matches!(self, KeyDepth::Maps(maps) if maps.is_flat(map))
+    }
+
     /// The network's map of a key frame.
     pub fn of_network(&mut self, picture: &Picture) -> Result<Option<Vec<f32>>, Error> {
         #[cfg(feature = "onnx")]

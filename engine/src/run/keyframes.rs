@@ -96,6 +96,8 @@ pub struct KeyFrames {
     arrived: usize,
     /// Index of the latest frame and its map, where it has a file.
     latest: (usize, Option<Vec<f32>>),
+    /// Number of maps without depth to use.
+    flat: usize,
     /// All frames since the key frame before in the form in which they are compared, where the choice of key frames
     /// requires it.
     truths: Option<Vec<Truth>>,
@@ -130,6 +132,7 @@ impl KeyFrames {
             size: [0, 0],
             arrived: 0,
             latest: (0, None),
+            flat: 0,
             truths: gap.depends_on_images().then(Vec::new),
             placing: None,
             whole: false,
@@ -181,6 +184,13 @@ impl KeyFrames {
     /// Account of the input read so far.
     pub fn account(&self) -> Reading {
         let network = self.depth.account();
+        let mut notes = self.source.notes().to_vec();
+        if self.flat > 0 {
+            let (flat, frames) = (self.flat, self.digest.frames());
+            notes.push(format!(
+                "{flat} of {frames} depth maps hold no depth: nothing measured, or one value everywhere"
+            ));
+        }
         let looking = network.as_ref().map_or(Duration::ZERO, |network| network.time);
         Reading {
             frames: self.digest.frames(),
@@ -189,7 +199,7 @@ impl KeyFrames {
             time: self.time.saturating_sub(looking),
             network,
             damage: self.damage.clone(),
-            notes: self.source.notes().to_vec(),
+            notes,
         }
     }
 
@@ -220,6 +230,7 @@ impl KeyFrames {
             placing,
             whole,
             latest,
+            flat,
             arrived,
             keep,
             limit,
@@ -251,6 +262,7 @@ impl KeyFrames {
             let [before @ .., frame] = waiting else { return Ok(()) };
             *size = [frame.picture.width, frame.picture.height];
             *latest = (frame.index, depth.of_file(frame.index, &frame.picture)?);
+            *flat += usize::from(latest.1.as_ref().is_some_and(|map| depth.is_flat(map)));
             digest.add(&frame.picture, frame.timestamp, latest.1.as_deref());
             if let Some(truths) = truths {
                 let compared = placing.as_ref().map_or(*size, |placing| placing(*size));

@@ -20,7 +20,7 @@ use super::terms::{Terms, with_absolute_paths};
 use super::{Error, Observer, Step, Stop};
 use crate::Engine;
 use crate::fit::Placement;
-use crate::output::{Pace, VideoFormat, holds_sound};
+use crate::output::{Pace, holds_sound};
 use crate::source::{self, Sound, Source};
 use crate::stream::{Interval, MotionFrom, Resolution, Reuse};
 
@@ -114,12 +114,7 @@ impl Session {
         }
         let noted = source.notes().len();
         let pace = Pace { fps: source.fps(), uneven: source.is_uneven() && views.times.is_none() };
-        if pace.uneven && matches!(destination, Some(Destination::Video(_, VideoFormat::Y4m))) {
-            let fps = pace.fps;
-            observer.notes(&[format!(
-                "y4m holds no times: images follow each other at {fps:.3} a second, unlike the frames"
-            )]);
-        }
+        observer.notes(destination.and_then(|destination| destination.without_times(pace)).as_slice());
         let sound = destination.and_then(|destination| taken_along(&source, options, destination));
         if source.sound().is_some() && destination.is_some() {
             let found = if sound.is_some() { "sound is taken along" } else { "sound is left out" };

@@ -204,7 +204,9 @@ pub fn render(
     outputs.keep_alpha(views.transparent)?;
     let own = own && !matches!(views.course, Some(Course::Held(_)));
     outputs.quality(options.crf);
-    outputs.start(fps, Pace { fps, uneven: own && scene.index().is_uneven() })?;
+    let pace = Pace { fps, uneven: own && scene.index().is_uneven() };
+    console.note(place.destination().without_times(pace).as_slice());
+    outputs.start(fps, pace)?;
 
     let mut progress = Progress::new("images", Some(due.len()), console);
     let mut stretch = Stretch::of(&scene);
