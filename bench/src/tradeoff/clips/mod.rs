@@ -50,6 +50,8 @@ struct Baselines {
 enum Reason {
     /// One option after the other, each in addition to those before.
     Step,
+    /// The default with one of its parts off.
+    Part,
     Quality,
     Grid,
 }

@@ -20,7 +20,7 @@ pub(super) fn table(record: &Record) -> String {
         format!("A higher quality is closer to the frames but for {}.", against.join(", "))
     };
     let mut text = format!(
-        "{clips} clips, gap 5 where nothing else is said, {threads} threads of {cpu} ({isa}).{note} Beside these, between key frames: cross-fade \
+        "{clips} clips, gap 5 except for the qualities, {threads} threads of {cpu} ({isa}).{note} Others, between key frames: cross-fade \
          {:.2} dB, flow's blend {:.2} dB. {dial}\n\n",
         baselines.crossfade, baselines.flow
     );
@@ -33,7 +33,9 @@ pub(super) fn table(record: &Record) -> String {
         Column::Number("still ones", 0),
         Column::Number("ms per input frame", 0),
     ];
-    let shown = |row: &&Configuration| row.kind == Reason::Step || row.kind == Reason::Quality && row.seen;
+    let shown = |row: &&Configuration| {
+        matches!(row.kind, Reason::Step | Reason::Part) || row.kind == Reason::Quality && row.seen
+    };
     text += &Table(&columns).markdown(record.rows.iter().filter(shown).map(cells));
     text
 }

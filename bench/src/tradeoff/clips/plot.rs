@@ -15,7 +15,7 @@ fn mark(row: &Configuration, gaps: &[String]) -> Mark {
     let place = gap(row).and_then(|gap| gaps.iter().position(|known| *known == gap)).unwrap_or(gaps.len());
     match row.kind {
         Reason::Quality => (INK, 3, 1.0),
-        Reason::Step => (colour(place), 1, 0.0),
+        Reason::Step | Reason::Part => (colour(place), 1, 0.0),
         Reason::Grid => (colour(place), 0, 0.6),
     }
 }
@@ -89,7 +89,7 @@ pub(super) fn svg(record: &Record) -> Result<String> {
         let names: Vec<String> = gaps.iter().map(|gap| format!("gap {gap}")).collect();
         let mut marks: Vec<(Mark, &String)> =
             names.iter().enumerate().map(|(i, name)| ((colour(i), 0, 0.6), name)).collect();
-        let others = ["--quality".to_owned(), "one option after the other".to_owned()];
+        let others = ["--quality".to_owned(), "one option after the other, or one left out".to_owned()];
         marks.push(((INK, 3, 1.0), &others[0]));
         marks.push(((INK, 1, 0.0), &others[1]));
         legend(&below, &[("", marks)])?;

@@ -11,13 +11,24 @@ const STEPS: [(&str, &str); 11] = [
     ("+ resolution: four times the area, in tiles", "--motion network --refine 0"),
     ("+ motion: optical flow between the key frames", "--motion frames --refine 0 --fade network --depth none"),
     ("+ fading: all alike, nothing of the dynamic half is computed", "--motion frames --refine 0 --depth none"),
-    ("+ colours: 4 steps", "--motion frames --refine 4 --depth none"),
-    ("+ colours: 16 steps at most", "--motion frames --depth none"),
+    ("+ colours: 4 steps", "--motion frames --refine 4 --detail 0 --depth none"),
+    ("+ colours: the default's 6 steps at most, details", "--motion frames --depth none"),
     ("+ depth: found by parallax", "--motion frames"),
     ("seen, motion through the frames between, no colours", "--seen --refine 0 --depth none"),
-    ("seen, + colours: 4 steps", "--seen --refine 4 --depth none"),
-    ("seen, + colours: 16 steps at most", "--seen --depth none"),
+    ("seen, + colours: 4 steps", "--seen --refine 4 --detail 0 --depth none"),
+    ("seen, + colours: the default's 6 steps at most, details", "--seen --depth none"),
     ("seen, + depth: found by parallax", "--seen"),
+];
+/// What the default leaves out or adds, each turned off alone. The last step is the default at that gap.
+const PARTS: [(&str, &str); 8] = [
+    ("static regions computed for each key frame: `--still off`", "--still off"),
+    ("colours fitted also where images are close: `--refine-to 100`", "--refine-to 100"),
+    ("nothing taken from what was computed before: `--reuse off`", "--reuse off"),
+    ("no details: `--detail 0`", "--detail 0"),
+    ("nothing behind foreground objects: `--behind off`", "--behind off"),
+    ("colours from every second frame: `--refine-every 2`", "--refine-every 2"),
+    ("coarse flow: `--flow coarse`", "--flow coarse"),
+    ("the network in f32: `--precision f32`", "--precision f32"),
 ];
 /// From the fastest to the closest.
 const QUALITIES: [(&str, &str); 3] =
@@ -34,6 +45,9 @@ pub(super) fn all() -> Vec<(String, Reason, Vec<String>)> {
     let mut rows = Vec::new();
     for (name, arguments) in STEPS {
         rows.push((name.to_owned(), Reason::Step, words(&format!("{arguments} --gap 5"))));
+    }
+    for (name, arguments) in PARTS {
+        rows.push((format!("the same, {name}"), Reason::Part, words(&format!("--seen {arguments} --gap 5"))));
     }
     for (name, gap) in QUALITIES {
         let row = format!("seen, `--quality {name}`: {gap}");
