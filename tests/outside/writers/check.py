@@ -206,7 +206,7 @@ def full(work):
         file = work / f'full.{ending}'
         file.write_bytes(b'what was there')
         command = ['run', source, '--out', file, '--model', MODEL, '--gap', '2', '--threads', '1', '--emit', 'rgb', '--quiet']
-        command += ['--size', '640x384']
+        command += ['--size', '640x384', '--overwrite']
         done = subprocess.run([*limited, *map(str, command)], capture_output=True, text=True)
         assert done.returncode == 1 and done.stderr.count('\n') == 1, (ending, done)
         assert file.read_bytes() == b'what was there', ending
