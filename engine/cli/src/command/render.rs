@@ -153,8 +153,13 @@ impl RenderOptions {
     /// Returns an error for more than one image with a single output file.
     pub(super) fn check_single(&self, images: usize) -> Result<(), Failure> {
         if self.single && images != 1 {
+            let way = if self.motion.moves() {
+                "the camera moves from image to image"
+            } else {
+                "give --times one time, or --view"
+            };
             return Err(Failure::usage(format!(
-                "--out: expected a folder or a video for {images} images, found a single file: give --times one time, or --view"
+                "--out: expected a folder or a video for {images} images, found a single file: {way}"
             )));
         }
         Ok(())

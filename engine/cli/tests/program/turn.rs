@@ -274,7 +274,7 @@ fn motions_that_cannot_be_are_wrong_use() {
     }
     let png = scratch.path("x.png").display().to_string();
     let text = fails(&render(&scene, Path::new(&png), &["--times", "0.25", "--sway"]), 2);
-    assert!(text.contains("found a single file"), "{text}");
+    assert!(text.contains("found a single file: the camera moves from image to image"), "{text}");
     let record = json(&scene.join("run.json"));
     assert!(record["task"].to_string().find("orbit").is_none(), "nothing is said where nothing moves");
 }
