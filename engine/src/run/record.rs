@@ -1,6 +1,6 @@
 //! `run.json`: the record of a run, by which it can be repeated and compared.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::time::Instant;
@@ -169,8 +169,8 @@ pub struct Unfilmed {
     pub worst: Option<[f64; 2]>,
     /// The smallest angle, in degrees, of an image whose share is above [`Unfilmed::LITTLE`].
     pub fails: Option<f64>,
-    /// The smaller angles of other images.
-    pub holds: Vec<f64>,
+    /// The smaller angles of other images, in whole degrees rounded down.
+    pub holds: BTreeSet<u16>,
 }
 
 impl Unfilmed {
@@ -189,9 +189,10 @@ impl Unfilmed {
         }
         if share > Self::LITTLE {
             self.fails = Some(self.fails.map_or(degrees, |least| least.min(degrees)));
-            self.holds.retain(|held| *held < degrees);
+            self.holds.retain(|held| f64::from(*held) < degrees);
         } else if self.fails.is_none_or(|least| degrees < least) {
-            self.holds.push(degrees);
+            // At most 180, as folded above.
+            self.holds.insert(degrees as u16);
         }
     }
 
@@ -203,9 +204,11 @@ impl Unfilmed {
             "at {degrees:.0} degrees from the filmed view {:.0} % of an image was never filmed and shows {shows}",
             100.0 * share
         );
-        let holds = self.holds.iter().fold(0.0, |most: f64, held| most.max(*held)).floor();
         let most = 100.0 * Self::LITTLE;
-        Some(if holds > 0.0 { format!("{found}; up to {holds:.0} degrees it is at most {most:.0} %") } else { found })
+        Some(match self.holds.last() {
+            Some(holds @ 1..) => format!("{found}; up to {holds} degrees it is at most {most:.0} %"),
+            _ => found,
+        })
     }
 }
 
@@ -465,6 +468,9 @@ mod tests {
         }
         let note = unfilmed.note(true).expect("much is missing");
         assert!(note.starts_with("at 90 degrees") && note.ends_with("up to 8 degrees it is at most 2 %"), "{note}");
+        // A long run stores no more than a number per degree.
+        (0..100_000).for_each(|i| unfilmed.add(1000, 0.0, f64::from(i) / 20_000.0));
+        assert_eq!(unfilmed.holds.len(), 6);
     }
 
     #[test]
