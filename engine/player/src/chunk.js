@@ -2,14 +2,14 @@
 
 import { wrong } from "./errors.js";
 import { HEADER, RECORD, SHORTS, WORDS, halfBits } from "./packet.js";
+import { wordsOf } from "./rans.js";
 
 const NAMES = (
   "kind link code identity birth frame mean_x mean_y mean_z offset_x offset_y offset_z opacity scale_x scale_z green red blue " +
-  "velocity_x velocity_y velocity_z gamma_0 gamma_1 green_rate red_rate blue_rate thickness merge merge_into"
+  "velocity_x velocity_y velocity_z gamma_0 gamma_1 green_rate red_rate blue_rate thickness merge merge_into merge_other"
 ).split(" ");
 const [KIND, LINK, CODE, IDENTITY, BIRTH, FRAME, FIRST, MERGE] = [0, 1, 2, 3, 4, 5, 6, 27];
-const FRESH = 0;
-const CARRIED = 1;
+const [FRESH, CARRIED, KEPT] = [0, 1, 3];
 /** Number of values per record, and their positions. */
 export const VALUES = 21;
 const [OFFSET_AT, OPACITY_AT, SCALE_AT, GREEN_AT, VELOCITY_AT, GAMMA_AT, RATE_AT, THICKNESS_AT] = [3, 6, 7, 9, 12, 15, 17, 20];
@@ -20,90 +20,53 @@ const SINCE_LINK = [0, 1, 2, 6, 7, 8, 9, 10, 11, THICKNESS_AT];
 const isRare = (column) => column >= FIRST + RATE_AT && column < MERGE;
 /** Columns of which only the lengths are read. */
 const isSkipped = (column) => column >= MERGE || (column >= FIRST + OFFSET_AT && column < FIRST + OPACITY_AT);
-/** Factor from world units to integers; the largest magnitude of the integers; the ranges of logarithms. */
-const LENGTH = 8192;
+/** Integers per world unit of means and of velocities, per octave, and per unit of colours and of their changes. */
+const [ACROSS, DEPTH, MOTION, OCTAVE, COLOUR, RATE] = [4096, 8192, 1024, 16, 128, 32];
+/** The largest magnitude of the integers, and the ranges of logarithms. */
 const LIMIT = 2 ** 46;
-const [LEAST_SCALE, MOST_SCALE, MOST_GAMMA] = [-9664, 8128, 4092];
-/** Maximum number of Gaussians of an interval; maximum bytes that deflate makes from one; maximum bytes per number. */
+const [LEAST_OCTAVE, MOST_OCTAVE, MOST_GAMMA] = [-2416, 2032, 4092];
+/** Maximum number of Gaussians of an interval. */
 export const MOST_GAUSSIANS = 2 ** 24;
-const INFLATION = 1032;
-const LONGEST = 10;
 const SEEN_AT = Math.fround(1 / 255);
 
-/** Inflates a deflate stream to `length` bytes. */
-async function inflated(bytes, length, name) {
-  const other = (found) => wrong(name, `a deflated stream of ${length} bytes`, found);
-  const reader = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw")).getReader();
-  let [whole, at] = [null, 0];
-  for (;;) {
-    const { done, value } = await reader.read().catch(() => {
-      throw other("another one");
-    });
-    if (done) break;
-    if (at + value.length > length) {
-      reader.cancel().catch(() => {});
-      throw other("a longer one");
-    }
-    if (!whole && value.length === length) whole = value;
-    else (whole ??= new Uint8Array(length)).set(value, at);
-    at += value.length;
-  }
-  if (at !== length) throw other(`one of ${at}`);
-  return whole ?? new Uint8Array(0);
-}
-
-/** Decodes the first `most` numbers in a column's bytes, as two words each, the low one first: [low, high, start of the next number]. */
-function wordsAt(bytes, from, name) {
-  let [low, high, at] = [0, 0, from];
-  for (let shift = 0; shift < 70; shift += 7) {
-    const byte = bytes[at++];
-    if (byte === undefined) throw wrong(name, "another number", "its end");
-    const bits = byte & 127;
-    if ((shift === 63 && bits > 1) || (byte === 0 && shift > 0)) break;
-    if (shift < 28) low |= bits << shift;
-    else if (shift === 28) [low, high] = [low | (bits << 28), bits >>> 4];
-    else high |= bits << (shift - 32);
-    if (byte < 128) return [low >>> 0, high >>> 0, at];
-  }
-  throw wrong(name, "another number", "one too long");
-}
-
 /** Decodes the numbers of a column. Magnitudes above 2⁵³ are rounded; valid values are smaller. */
-function numbersOf(bytes, count, name, signed) {
-  if (bytes.length < count) throw wrong(name, `${count} values`, `${bytes.length} bytes`);
+function numbersOf({ bytes, count }, expected, name, signed) {
+  if (count !== expected) throw wrong(name, `${expected} numbers`, count);
   const numbers = new Float64Array(count);
-  let at = 0;
+  if (!count) return numbers;
+  const { low, high } = wordsOf(bytes, count, name);
   for (let i = 0; i < count; i++) {
-    let value = bytes[at];
-    if (value < 128) at++;
-    else {
-      const [low, high, next] = wordsAt(bytes, at, name);
-      [value, at] = [high * 2 ** 32 + low, next];
+    if (!high || !high[i]) {
+      const value = low[i];
+      numbers[i] = signed ? (value & 1 ? -(value >>> 1) - 1 : value >>> 1) : value;
+    } else {
+      const value = high[i] * 2 ** 32 + low[i];
+      numbers[i] = signed ? (low[i] & 1 ? -(value + 1) / 2 : value / 2) : value;
     }
-    numbers[i] = signed ? (value % 2 ? -(value + 1) / 2 : value / 2) : value;
   }
-  if (at !== bytes.length) throw wrong(name, "its end", `${bytes.length - at} more bytes`);
   return numbers;
 }
 
-/** Decodes a column of signed 64-bit numbers, one by one, into `low` and `high`. */
+/** Numbers of a column of signed 64-bit ones, one by one, in `low` and `high`. */
 class Wide {
-  constructor(bytes, name) {
-    [this.bytes, this.name, this.at] = [bytes, name, 0];
+  constructor({ bytes, count }, name) {
+    [this.words, this.count, this.name, this.at] = [count ? wordsOf(bytes, count, name) : null, count, name, 0];
     [this.low, this.high] = [0, 0];
   }
 
   next() {
-    const [low, high, at] = wordsAt(this.bytes, this.at, this.name);
+    if (this.at >= this.count) throw wrong(this.name, "another number", "its end");
+    const low = this.words.low[this.at];
+    const high = this.words.high?.[this.at] ?? 0;
     const sign = -(low & 1);
     this.low = (((low >>> 1) | (high << 31)) ^ sign) >>> 0;
     this.high = ((high >>> 1) ^ sign) >>> 0;
-    this.at = at;
+    this.at++;
     return this;
   }
 
   end() {
-    if (this.at !== this.bytes.length) throw wrong(this.name, "its end", `${this.bytes.length - this.at} more bytes`);
+    if (this.at !== this.count) throw wrong(this.name, "its end", `${this.count - this.at} more numbers`);
   }
 }
 
@@ -114,28 +77,23 @@ function putSum(out, i, low, high, { low: l, high: h }, sign) {
   out[2 * i + 1] = high + sign * h + Math.floor(sum / 2 ** 32);
 }
 
-/** Returns the columns of a chunk as bytes; skipped columns are empty. */
-async function columnsOf(chunk, counted) {
-  const count = counted ?? MOST_GAUSSIANS;
+/** Returns the columns of a chunk: the bytes of each and the number of its numbers; skipped columns are empty. */
+function columnsOf(chunk, counted) {
+  const most = counted ?? MOST_GAUSSIANS;
   const view = new DataView(chunk.buffer, chunk.byteOffset, chunk.byteLength);
-  const columns = NAMES.map(() => new Uint8Array(0));
-  const taken = [];
   let at = 0;
-  for (const [column, short] of NAMES.entries()) {
+  const columns = NAMES.map((short, column) => {
     const name = `column ${short}`;
     const room = chunk.length - at - 8;
-    const [whole, stored] = room < 0 ? [0, 0] : [view.getUint32(at, true), view.getUint32(at + 4, true)];
-    if (room < stored) throw wrong(name, "its two lengths and as many bytes", `${chunk.length - at} bytes`);
-    if (whole > stored * INFLATION) throw wrong(name, `at most ${INFLATION} bytes from one`, `${whole} from ${stored}`);
-    if (column < MERGE && whole > count * LONGEST) throw wrong(name, `at most ${LONGEST} bytes for each of ${count} numbers`, whole);
-    if (whole && !isSkipped(column)) taken.push({ column, name, whole, deflated: chunk.subarray(at + 8, at + 8 + stored) });
+    const [count, stored] = room < 0 ? [0, 0] : [view.getUint32(at, true), view.getUint32(at + 4, true)];
+    if (room < stored) throw wrong(name, "two lengths and as many bytes", `${chunk.length - at} bytes`);
+    if (column < MERGE && count > most) throw wrong(name, `at most ${most} numbers`, count);
+    if (!count && stored) throw wrong(name, "no bytes without numbers", `${stored} bytes`);
     at += 8 + stored;
-  }
+    return isSkipped(column) ? { bytes: null, count: 0 } : { bytes: chunk.subarray(at - stored, at), count };
+  });
   // The text of a page's chunk may end in a byte of padding from its last digits.
   if (counted !== null && at !== chunk.length) throw wrong("chunk", "its end after the last column", `${chunk.length - at} more bytes`);
-  // Nothing is inflated before all lengths are checked.
-  const bytes = await Promise.all(taken.map(({ deflated, whole, name }) => inflated(deflated, whole, name)));
-  taken.forEach(({ column }, k) => (columns[column] = bytes[k]));
   return columns;
 }
 
@@ -146,30 +104,31 @@ const NONE = { count: 0 };
  * Returns the records of a chunk, as columns of numbers. `before` are the records of the previous interval, null for an independent one. `count` is
  * the number in the index, or null for a chunk of a page, whose values have other steps (`coarseness`).
  */
-export async function decode(chunk, before, { count = null, coarseness = null } = {}) {
-  const bytes = await columnsOf(chunk, count);
-  count ??= bytes[KIND].length;
-  if (count > MOST_GAUSSIANS) throw wrong("chunk", `at most ${MOST_GAUSSIANS} Gaussians`, count);
+export function decode(chunk, before, { count = null, coarseness = null } = {}) {
+  const stored = columnsOf(chunk, count);
+  count ??= stored[KIND].count;
   before ??= NONE;
   const named = (column) => `column ${NAMES[column]}`;
-  const columns = bytes.map((bytes, column) => {
+  const columns = stored.map((one, column) => {
     if (isSkipped(column) || column === LINK || (column >= IDENTITY && column <= FRAME)) return null;
-    if (isRare(column) && !bytes.length) return null;
-    return numbersOf(bytes, count, named(column), column !== KIND && column !== CODE);
+    if (isRare(column) && !one.count) return null;
+    return numbersOf(one, count, named(column), column !== KIND && column !== CODE);
   });
-  const [link, identities, births, frames] = [LINK, IDENTITY, BIRTH, FRAME].map((column) => new Wide(bytes[column], named(column)));
+  const [link, identities, births, frames] = [LINK, IDENTITY, BIRTH, FRAME].map((column) => new Wide(stored[column], named(column)));
   const [identity, birth, frame] = [0, 0, 0].map(() => new Uint32Array(2 * count));
   const linked = new Int32Array(count);
-  const next = [0, 0, 0];
-  let [expected, last] = [new Uint32Array(2), new Uint32Array(2)];
+  const next = [0, 0, 0, 0];
+  // The key frames of the last record of each kind.
+  const last = new Uint32Array(8);
+  const expected = new Uint32Array(2);
   const copy = (to, i, from, j) => ([to[2 * i], to[2 * i + 1]] = [from[2 * j], from[2 * j + 1]]);
   for (let i = 0; i < count; i++) {
     const kind = columns[KIND][i];
-    if (kind > 2) throw wrong(named(KIND), "0, 1 or 2", kind);
+    if (kind > KEPT) throw wrong(named(KIND), "0 to 3", kind);
     if (columns[CODE][i] > 5) throw wrong(named(CODE), "0 to 5", columns[CODE][i]);
     if (kind !== CARRIED) {
-      putSum(frame, i, last[0], last[1], frames.next(), 1);
-      copy(last, 0, frame, i);
+      putSum(frame, i, last[2 * kind], last[2 * kind + 1], frames.next(), 1);
+      copy(last, kind, frame, i);
     }
     if (kind === FRESH) {
       putSum(identity, i, expected[0], expected[1], identities.next(), 1);
@@ -179,7 +138,7 @@ export async function decode(chunk, before, { count = null, coarseness = null } 
     }
     const { low, high } = link.next();
     const j = next[kind] + low + (high | 0) * 2 ** 32;
-    const from = kind === CARRIED ? before : { count: i, identity, birth };
+    const from = kind === CARRIED || kind === KEPT ? before : { count: i, identity, birth };
     if (!(j >= 0 && j < from.count)) throw wrong(named(LINK), "a record before", j);
     linked[i] = j;
     next[kind] = j + 1;
@@ -192,9 +151,14 @@ export async function decode(chunk, before, { count = null, coarseness = null } 
   for (const k of [...SINCE_LINK, ...SINCE_LAST]) values[k] = new Float64Array(count);
   for (const k of SINCE_LINK) {
     const [differences, mine, theirs, kinds] = [columns[FIRST + k], values[k], before.values?.[k], columns[KIND]];
+    // A kept record's colour has grown by its change.
+    const rate = k >= GREEN_AT && k < GREEN_AT + 3 ? k + RATE_AT - GREEN_AT : null;
+    const growth = rate === null ? 0 : ((COLOUR / RATE) * (coarseness?.[rate] ?? 1)) / (coarseness?.[k] ?? 1);
     for (let i = 0, own = 0; i < count; i++) {
       const difference = differences ? differences[i] : 0;
-      mine[i] = kinds[i] === CARRIED ? theirs[linked[i]] + difference : (own += difference);
+      if (kinds[i] === CARRIED) mine[i] = theirs[linked[i]] + difference;
+      else if (kinds[i] === KEPT) mine[i] = theirs[linked[i]] + (growth ? growth * before.values[rate][linked[i]] : 0) + difference;
+      else mine[i] = own += difference;
     }
   }
   for (const k of SINCE_LAST) {
@@ -214,9 +178,9 @@ function checkRange(column, k, unit) {
   }
   const name = `column ${NAMES[FIRST + k]}`;
   if (low * unit < -LIMIT || high * unit > LIMIT) throw wrong(name, "magnitudes up to 2^46", "a larger one");
-  const isLogarithm = k === SCALE_AT || k === SCALE_AT + 1 || k === THICKNESS_AT;
-  const least = isLogarithm ? LEAST_SCALE : k === OPACITY_AT || k === GAMMA_AT || k === GAMMA_AT + 1 ? 0 : -Infinity;
-  const most = isLogarithm ? MOST_SCALE : k === GAMMA_AT ? MOST_GAMMA : Infinity;
+  const isLogarithm = k === OPACITY_AT || k === SCALE_AT || k === SCALE_AT + 1 || k === THICKNESS_AT;
+  const least = isLogarithm ? LEAST_OCTAVE : k === GAMMA_AT || k === GAMMA_AT + 1 ? 0 : -Infinity;
+  const most = isLogarithm ? MOST_OCTAVE : k === GAMMA_AT ? MOST_GAMMA : Infinity;
   if (low * unit < least) throw wrong(name, `at least ${least}`, low * unit);
   if (high * unit > most) throw wrong(name, `at most ${most}`, high * unit);
 }
@@ -259,8 +223,11 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
     return out;
   };
   const coloured = (at, steps) => [scaled(steps, at + 1, at), scaled(steps, at), scaled(steps, at + 2, at)];
-  const lengths = [0, 1, 2, VELOCITY_AT, VELOCITY_AT + 1, VELOCITY_AT + 2].map((k) => scaled(LENGTH, k));
-  const [opacity, colours, rates] = [scaled(1023, OPACITY_AT), coloured(GREEN_AT, 511), coloured(RATE_AT, 255)];
+  const octaves = (q) => Math.exp((q / OCTAVE) * Math.LN2);
+  const lengths = [ACROSS, DEPTH, ACROSS].map((steps, k) => scaled(steps, k)).concat([0, 1, 2].map((k) => scaled(MOTION, VELOCITY_AT + k)));
+  const [colours, rates] = [coloured(GREEN_AT, COLOUR), coloured(RATE_AT, RATE)];
+  const opacityOf = byNumber(values[OPACITY_AT], (q) => Math.fround(octaves(q * step(OPACITY_AT))));
+  const opacity = Float32Array.from({ length: count }, (_, i) => opacityOf(i));
   const [y, vy] = [lengths[1], lengths[4]];
   const shown = [];
   for (let i = 0; i < count; i++) {
@@ -295,7 +262,6 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
   const bytes = new Uint8Array(buffer, HEADER, total * RECORD);
   const ages = new Uint16Array(buffer, HEADER + total * RECORD, total);
   const binary16 = (k, value) => byNumber(values[k], (q) => halfBits(Math.fround(value(q * step(k)))));
-  const octaves = (q) => Math.exp((q / 64) * Math.LN2);
   const steepness = binary16(GAMMA_AT, (q) => Math.expm1((q / 32) * Math.LN2));
   const widths = byNumber(values[GAMMA_AT + 1], (q) => unit(Math.fround((q * step(GAMMA_AT + 1)) / 256), 65535));
   const scales = [0, 1].map((k) => binary16(SCALE_AT + k, octaves));
@@ -339,13 +305,13 @@ export class Chunks {
   /**
    * Returns the packet of the last of some consecutive chunks, { bytes, index, alone, count } each; null if the chunk before them is not available.
    */
-  async take({ place, parts, times, coarseness }) {
+  take({ place, parts, times, coarseness }) {
     let packet = null;
     for (const [k, { bytes, index, alone, count }] of parts.entries()) {
       const i = place + k;
       if (!alone && this.place !== i - 1) return null;
       try {
-        this.records = await decode(bytes, alone ? null : this.records, { count, coarseness });
+        this.records = decode(bytes, alone ? null : this.records, { count, coarseness });
       } catch (e) {
         throw new Error(`interval ${i}: ${e.message}`);
       }

@@ -175,7 +175,8 @@ export class Player extends EventTarget {
     if (!this.playing || end === start) return;
     const next = this.time + seconds * this.playbackRate;
     this.stale = true;
-    if (next >= start && next <= end) {
+    const inside = this.loop ? next >= start && next <= end : this.playbackRate < 0 ? next > start : next < end;
+    if (inside) {
       this.time = next;
       return;
     }

@@ -6,8 +6,6 @@ import { Sorter } from "./sort.js";
 
 const chunks = new Chunks();
 const sorters = new Map();
-/** Chunks are decoded one after another. */
-let queue = Promise.resolve();
 
 /** Answers with a packet, whose records are kept in order from now on. */
 export function taken(ticket, interval, packet, buffer, more = {}) {
@@ -19,16 +17,14 @@ export function taken(ticket, interval, packet, buffer, more = {}) {
 export const WORK = {
   /** Decodes the chunks of the intervals that end with this one. */
   parts({ ticket, interval, ...rest }) {
-    queue = queue.then(async () => {
-      try {
-        const buffer = await chunks.take(rest);
-        if (!buffer) return void postMessage({ ticket, lost: true });
-        taken(ticket, interval, new Packet(buffer), buffer);
-      } catch (e) {
-        chunks.place = -1;
-        postMessage({ ticket, error: e.message });
-      }
-    });
+    try {
+      const buffer = chunks.take(rest);
+      if (!buffer) return void postMessage({ ticket, lost: true });
+      taken(ticket, interval, new Packet(buffer), buffer);
+    } catch (e) {
+      chunks.place = -1;
+      postMessage({ ticket, error: e.message });
+    }
   },
 
   sort({ ticket, interval, t, view }) {

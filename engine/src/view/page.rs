@@ -54,11 +54,12 @@ const SCRIPT_FILES: [&str; 21] = [
 ];
 
 /// The scripts of the worker, joined likewise.
-const WORKER_FILES: [&str; 20] = [
+const WORKER_FILES: [&str; 21] = [
     player!("errors.js"),
     player!("packet.js"),
     player!("camera.js"),
     player!("motion.js"),
+    player!("rans.js"),
     player!("chunk.js"),
     player!("blob.js"),
     player!("container.js"),

@@ -1,7 +1,8 @@
 // The readers of the page, as in its worker. Each has seeds, a function that reads bytes and checks the result, and the errors that are refusals.
 
 import { readFileSync } from "node:fs";
-import { deflateRawSync, gzipSync } from "node:zlib";
+import { gzipSync } from "node:zlib";
+import { columnOf } from "../../outside/column.mjs";
 
 const VIEW = "engine/src/view";
 const PLAYER = "engine/player/src";
@@ -125,13 +126,9 @@ const FRAMES = [
 /** A chunk of a page's container: records that are fresh, all differences small. */
 function chunk(count) {
   return Buffer.concat(
-    Array.from({ length: 29 }, (_, column) => {
+    Array.from({ length: 30 }, (_, column) => {
       const empty = column === 1 || column > 25;
-      const values = Uint8Array.from({ length: empty ? 0 : count }, (_, i) => (column < 6 ? 0 : (i * 5 + column) & 14));
-      const lengths = Buffer.alloc(8);
-      const deflated = empty ? Buffer.alloc(0) : deflateRawSync(values);
-      [values.length, deflated.length].forEach((length, k) => lengths.writeUInt32LE(length, 4 * k));
-      return Buffer.concat([lengths, deflated]);
+      return columnOf(Array.from({ length: empty ? 0 : count }, (_, i) => (column < 6 ? 0 : (i * 5 + column) & 14)));
     }),
   );
 }
@@ -215,7 +212,7 @@ export function readers() {
       seeds: [chunk(40)],
       refusal: own,
       async read(bytes, chance) {
-        const records = await decode(bytes, chance(2) ? await first : null, { count: chance(2) ? 40 : null });
+        const records = decode(bytes, chance(2) ? first : null, { count: chance(2) ? 40 : null });
         new Packet(packetOf(records, PLACE));
       },
     },
@@ -240,7 +237,7 @@ export async function prepared(name) {
   const all = readers();
   if (name === "packet") {
     const { decode, packetOf } = scripts();
-    for (const count of [1, 5]) all.packet.seeds.push(Buffer.from(packetOf(await decode(chunk(count), null), PLACE)));
+    for (const count of [1, 5]) all.packet.seeds.push(Buffer.from(packetOf(decode(chunk(count), null), PLACE)));
   }
   return all[name];
 }

@@ -203,7 +203,7 @@ async function errors(page) {
   await failing("other.ssz", /^header: expected a container's first bytes, found others$/);
   await failing("empty.ssz", /^file: expected a container, found no bytes$/);
   await failing("none.ssz", /^\/scratch\/none\.ssz: expected the file, found 404/);
-  await failing("damaged.ssz", /^interval 2: column kind: expected at most 1032 bytes from one, found 2147483648 from \d+$/);
+  await failing("damaged.ssz", /^interval 2: column kind: expected at most \d+ numbers, found 2147483648$/);
   server.change = ({ from }) => (from > 0 ? { headers: { ETag: '"another"' } } : null);
   await failing("scene.ssz", /^\/scratch\/scene\.ssz: expected the file that was opened, found another one in its place$/);
   server.change = ({ from, size }) => (from > 0 ? { bytes: Buffer.alloc(size - from - 1) } : null);

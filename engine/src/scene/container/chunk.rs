@@ -1,18 +1,21 @@
 //! One interval: its records in order, each as its difference from a prediction.
 //!
-//! A record is of one of three kinds:
+//! A record is of one of four kinds:
 //!
 //! - *carried*: the interval before holds a record of the same identity, key frame and birth, which is linked;
 //! - *following*: an earlier record of this interval has the same identity and birth, and is linked. The position of
 //!   its tracked point at the interval's end predicts this one's; everything else is predicted as for a fresh one;
+//! - *kept*: the interval before holds a record of the same identity and birth, the last of which is linked. Its colour
+//!   is expected to be the linked one's after its change, everything else to be the same: it stands still;
 //! - *fresh*: the identity is expected to be the last fresh one's plus one, the birth the key frame.
 //!
-//! [`VALUES`] names what predicts each value ([`By`]); the last record that is not carried predicts the key frame.
+//! [`VALUES`] names what predicts each value ([`By`]); the last record of its kind predicts the key frame. A
+//! merge is stored as two records: the first one of the identity that ends, and the last one of the one that goes on.
 
 use super::MOST;
 use super::columns::{Column, Values};
 use super::quantise::Quantised;
-use super::table::{By, LIMIT, LINKS, MEAN, MERGES, OFFSET, VALUES};
+use super::table::{By, LIMIT, LINKS, MERGES, MOTION_UNITS, OFFSET, VALUES, Value, grown};
 use crate::formats::FormatError;
 use crate::stream::{Handover, Merge, Reference};
 use std::collections::BTreeMap;
@@ -21,6 +24,7 @@ use std::collections::BTreeMap;
 const FRESH: u64 = 0;
 const CARRIED: u64 = 1;
 const FOLLOWING: u64 = 2;
+const KEPT: u64 = 3;
 
 // Places of columns: those of LINKS, those of values, those of MERGES.
 const KIND: usize = 0;
@@ -32,6 +36,7 @@ const FRAME: usize = 5;
 const FIRST: usize = LINKS.len();
 const MERGE: usize = FIRST + VALUES.len();
 const MERGE_INTO: usize = MERGE + 1;
+const MERGE_OTHER: usize = MERGE + 2;
 const COLUMNS: usize = MERGE + MERGES.len();
 
 /// State of the predictions, which writer and reader derive from the records before.
@@ -39,21 +44,29 @@ const COLUMNS: usize = MERGE + MERGES.len();
 struct Predictor {
     /// The last record of any kind.
     last: Quantised,
-    /// The last one that was not carried.
+    /// The last one that was fresh or following.
     own: Quantised,
+    /// The key frame of the last record of each kind.
+    frames: [u64; 4],
     /// The expected identity of a fresh record.
     fresh: u64,
-    /// The expected next links of a carried and of a following record.
-    next: [u64; 2],
+    /// The expected next link of a record of each kind.
+    next: [u64; 4],
+}
+
+/// Returns true for kinds that are linked to a record of the interval before.
+fn is_from_before(kind: u64) -> bool {
+    kind == CARRIED || kind == KEPT
 }
 
 impl Predictor {
     /// The prediction of the quantised numbers, from the linked record.
-    fn prediction(&self, kind: u64, linked: &Quantised) -> [i64; VALUES.len()] {
+    fn prediction(&self, kind: u64, linked: &Quantised, step: fn(&Value) -> i64) -> [i64; VALUES.len()] {
         std::array::from_fn(|k| match VALUES[k].by {
             By::Last => self.last.values[k],
-            By::Link | By::Track if kind == CARRIED => linked.values[k],
-            By::Link => self.own.values[k],
+            By::Grown if kind == KEPT => grown(&linked.values, k, step),
+            _ if is_from_before(kind) => linked.values[k],
+            By::Link | By::Grown => self.own.values[k],
             By::Track => 0,
         })
     }
@@ -61,7 +74,8 @@ impl Predictor {
     /// Updates the state after a record of a kind.
     fn remember(&mut self, kind: u64, record: &Quantised) {
         self.last = *record;
-        if kind != CARRIED {
+        self.frames[kind as usize] = record.frame;
+        if !is_from_before(kind) {
             self.own = *record;
         }
         if kind == FRESH {
@@ -70,21 +84,23 @@ impl Predictor {
     }
 }
 
-/// Predicted offset of a following record, from its tracked point and its own mean.
-fn following_offset(parent: &Quantised, mean: &[i64]) -> [i64; 3] {
+/// Predicted offset of a following record, from its tracked point and its own mean: the nearest step, halves upwards.
+fn following_offset(parent: &Quantised, record: &Quantised) -> [i64; 3] {
     let point = parent.point_at_end();
-    std::array::from_fn(|axis| (point[axis] - mean[axis]).clamp(-LIMIT, LIMIT))
+    std::array::from_fn(|axis| {
+        (point[axis] - record.mean(axis) + MOTION_UNITS / 2).div_euclid(MOTION_UNITS).clamp(-LIMIT, LIMIT)
+    })
 }
 
 /// Encodes an interval's chunk. `before`: the records of the interval before, empty for an independent chunk.
 pub(super) fn encode(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> Vec<u8> {
-    stored(&columns(before, records, merges))
+    stored(&columns(before, records, merges, |_| 1))
 }
 
-/// The columns of [`encode`] that images require; those of tracked points and of merges are empty.
+/// The columns of [`encode`] that images require, in a page's steps; those of tracked points and of merges are empty.
 #[cfg(feature = "viewer")]
 pub(super) fn encode_for_images(before: &[Quantised], records: &[Quantised]) -> Vec<u8> {
-    let mut columns = columns(before, records, &[]);
+    let mut columns = columns(before, records, &[], |value| value.coarseness);
     columns[FIRST + OFFSET..FIRST + OFFSET + 3].fill(Column::default());
     stored(&columns)
 }
@@ -93,29 +109,39 @@ fn stored(columns: &[Column]) -> Vec<u8> {
     streamsplat_kernels::parallel::map_indexed(columns.len(), |i| columns[i].stored()).concat()
 }
 
-fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Column; COLUMNS] {
+/// `step`: steps of a container's whole numbers per step of the records'.
+fn columns(
+    before: &[Quantised],
+    records: &[Quantised],
+    merges: &[Merge],
+    step: fn(&Value) -> i64,
+) -> [Column; COLUMNS] {
     let mut columns: [Column; COLUMNS] = std::array::from_fn(|_| Column::default());
     let carried: BTreeMap<(u64, u64), usize> =
         before.iter().enumerate().map(|(i, r)| ((r.identity, r.frame), i)).collect();
+    let last: BTreeMap<u64, usize> = before.iter().enumerate().map(|(i, r)| (r.identity, i)).collect();
     let mut seen: BTreeMap<u64, usize> = BTreeMap::new();
     let mut predictor = Predictor::default();
     for (i, record) in records.iter().enumerate() {
         let from = carried.get(&(record.identity, record.frame)).filter(|j| before[**j].birth == record.birth);
         let parent = seen.get(&record.identity).filter(|j| records[**j].birth == record.birth);
-        let (kind, linked) = match (from, parent) {
-            (Some(j), _) => (CARRIED, Some((*j, before[*j]))),
-            (None, Some(j)) => (FOLLOWING, Some((*j, records[*j]))),
-            (None, None) => (FRESH, None),
+        let kept = last.get(&record.identity).filter(|j| before[**j].birth == record.birth);
+        let (kind, linked) = match (from, parent, kept) {
+            (Some(j), _, _) => (CARRIED, Some((*j, before[*j]))),
+            (None, Some(j), _) => (FOLLOWING, Some((*j, records[*j]))),
+            (None, None, Some(j)) => (KEPT, Some((*j, before[*j]))),
+            (None, None, None) => (FRESH, None),
         };
         columns[KIND].push(kind);
         let code = record.reference as u64 | (record.handover as u64) << 1;
         columns[CODE].push(code);
         if kind != CARRIED {
-            columns[FRAME].push_signed(record.frame.wrapping_sub(predictor.own.frame).cast_signed());
+            let expected = predictor.frames[kind as usize];
+            columns[FRAME].push_signed(record.frame.wrapping_sub(expected).cast_signed());
         }
         match linked {
             Some((j, _)) => {
-                let next = &mut predictor.next[kind as usize - 1];
+                let next = &mut predictor.next[kind as usize];
                 columns[LINK].push_signed((j as u64).wrapping_sub(*next).cast_signed());
                 *next = j as u64 + 1;
             }
@@ -125,9 +151,9 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
             }
         }
         let linked = linked.map(|(_, r)| r).unwrap_or_default();
-        let mut prediction = predictor.prediction(kind, &linked);
+        let mut prediction = predictor.prediction(kind, &linked, step);
         if kind == FOLLOWING {
-            let offset = following_offset(&linked, &record.values[MEAN..MEAN + 3]);
+            let offset = following_offset(&linked, record);
             prediction[OFFSET..OFFSET + 3].copy_from_slice(&offset);
         }
         for (k, (value, expected)) in record.values.iter().zip(prediction).enumerate() {
@@ -136,11 +162,24 @@ fn columns(before: &[Quantised], records: &[Quantised], merges: &[Merge]) -> [Co
         predictor.remember(kind, record);
         seen.insert(record.identity, i);
     }
-    let mut last = [0, 0];
+    let mut first: BTreeMap<u64, usize> = BTreeMap::new();
+    if !merges.is_empty() {
+        for (i, record) in records.iter().enumerate() {
+            first.entry(record.identity).or_insert(i);
+        }
+    }
+    let (mut last, mut other) = ([0, 0], 0);
     for merge in merges {
-        columns[MERGE].push_signed(merge.identity.wrapping_sub(last[0]).cast_signed());
-        columns[MERGE_INTO].push_signed(merge.into.wrapping_sub(last[1]).cast_signed());
-        last = [merge.identity, merge.into];
+        for (k, (identity, places)) in [(merge.identity, &first), (merge.into, &seen)].into_iter().enumerate() {
+            let place = places.get(&identity).copied();
+            if place.is_none() {
+                columns[MERGE_OTHER].push_signed(identity.wrapping_sub(other).cast_signed());
+                other = identity;
+            }
+            let place = place.unwrap_or(records.len()) as i64;
+            columns[MERGE + k].push_signed(place - last[k]);
+            last[k] = place;
+        }
     }
     for (column, value) in columns[FIRST..MERGE].iter_mut().zip(&VALUES) {
         if value.rare && column.is_zero() {
@@ -160,18 +199,18 @@ pub(super) fn decode(
     let mut rest = bytes;
     let mut columns = Vec::with_capacity(COLUMNS);
     for (at, name) in LINKS.into_iter().chain(VALUES.iter().map(|value| value.name)).chain(MERGES).enumerate() {
-        columns.push(Values::read(name, if at < MERGE { count } else { merges }, &mut rest)?);
+        let most = if at < MERGE { count } else { merges };
+        columns.push(Values::read(name, if at == MERGE_OTHER { 2 * most } else { most }, &mut rest)?);
     }
     let written = std::array::from_fn(|k| !VALUES[k].rare || columns[FIRST + k].remaining() > 0);
     if !rest.is_empty() {
         return Err(FormatError::new("chunk", "its end after the last column", format!("{} more bytes", rest.len())));
     }
-    // Every record has at least a byte in each of these, so no more is reserved than the chunk holds.
     for (column, expected) in [(KIND, count), (CODE, count), (FIRST, count), (MERGE, merges)] {
         let found = columns[column].remaining();
         if found < expected || expected > MOST {
-            let what = format!("{expected} values, of at most {MOST}");
-            return Err(FormatError::new(format!("column {}", columns[column].name), what, format!("{found} bytes")));
+            let what = format!("{expected} numbers, of at most {MOST}");
+            return Err(FormatError::new(format!("column {}", columns[column].name), what, found.to_string()));
         }
     }
     let mut records: Vec<Quantised> = Vec::with_capacity(count);
@@ -181,11 +220,25 @@ pub(super) fn decode(
         records.push(record);
     }
     let mut found = Vec::with_capacity(merges);
-    let mut last = [0_u64, 0];
+    let (mut last, mut other) = ([0_u64, 0], 0_u64);
     for _ in 0..merges {
-        last[0] = last[0].wrapping_add_signed(columns[MERGE].next_signed()?);
-        last[1] = last[1].wrapping_add_signed(columns[MERGE_INTO].next_signed()?);
-        found.push(Merge { identity: last[0], into: last[1] });
+        let mut identities = [0; 2];
+        for (k, column) in [MERGE, MERGE_INTO].into_iter().enumerate() {
+            last[k] = last[k].wrapping_add_signed(columns[column].next_signed()?);
+            identities[k] = match records.get(last[k] as usize) {
+                Some(record) => record.identity,
+                None if last[k] == count as u64 => {
+                    other = other.wrapping_add_signed(columns[MERGE_OTHER].next_signed()?);
+                    other
+                }
+                None => {
+                    let part = format!("column {}", columns[column].name);
+                    return Err(FormatError::new(part, format!("a record, or {count} for none"), last[k].to_string()));
+                }
+            };
+        }
+        let [identity, into] = identities;
+        found.push(Merge { identity, into });
     }
     columns.into_iter().try_for_each(Values::end)?;
     Ok((records, found))
@@ -204,9 +257,9 @@ fn next(
     let code = columns[CODE].next()?;
     let among = match kind {
         FRESH => &[],
-        CARRIED => before,
+        CARRIED | KEPT => before,
         FOLLOWING => records,
-        other => return Err(wrong("column kind", "0, 1 or 2", other)),
+        other => return Err(wrong("column kind", "0 to 3", other)),
     };
     let mut record = Quantised {
         reference: Reference::from_code(code as u8 & 1).unwrap_or_default(),
@@ -215,14 +268,14 @@ fn next(
         ..Quantised::default()
     };
     if kind != CARRIED {
-        record.frame = predictor.own.frame.wrapping_add_signed(columns[FRAME].next_signed()?);
+        record.frame = predictor.frames[kind as usize].wrapping_add_signed(columns[FRAME].next_signed()?);
     }
     let mut linked = Quantised::default();
     if kind == FRESH {
         record.identity = predictor.fresh.wrapping_add_signed(columns[IDENTITY].next_signed()?);
         record.birth = record.frame.wrapping_sub(columns[BIRTH].next_signed()?.cast_unsigned());
     } else {
-        let next = &mut predictor.next[kind as usize - 1];
+        let next = &mut predictor.next[kind as usize];
         let link = next.wrapping_add_signed(columns[LINK].next_signed()?);
         linked = *usize::try_from(link)
             .ok()
@@ -234,10 +287,10 @@ fn next(
             record.frame = linked.frame;
         }
     }
-    let mut prediction = predictor.prediction(kind, &linked);
+    let mut prediction = predictor.prediction(kind, &linked, |_| 1);
     for (k, value) in VALUES.iter().enumerate() {
         if k == OFFSET && kind == FOLLOWING {
-            let offset = following_offset(&linked, &record.values[MEAN..MEAN + 3]);
+            let offset = following_offset(&linked, &record);
             prediction[OFFSET..OFFSET + 3].copy_from_slice(&offset);
         }
         let difference = if written[k] { columns[FIRST + k].next_signed()? } else { 0 };

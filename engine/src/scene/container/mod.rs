@@ -1,12 +1,12 @@
 //! A scene as one compressed file (`.ssz`).
 //!
 //! Every number is rounded to a whole number ([`table`]) and predicted from data that a reader already has. The
-//! differences are deflated column by column, one chunk per interval. An index at the end holds the chunks' positions.
-//! So an interval can be read without most others: only those back to the nearest independent chunk (every eighth) are
-//! required. `docs/container.md` describes every byte.
+//! differences are entropy-coded column by column ([`columns`]), one chunk per interval. An index at the end holds the
+//! chunks' positions. So an interval can be read without most others: only those back to the nearest independent chunk
+//! (every eighth) are required. `docs/container.md` describes every byte.
 //!
-//! Identities, births, merges, times and the source's placement are stored exactly; positions and velocities to 2⁻¹⁴
-//! world units, and the rest as precisely as [`table`] states. The bytes are a function of the intervals and the
+//! Identities, births, merges, times and the source's placement are stored exactly, and the rest as precisely as
+//! [`table`] states. The bytes are a function of the intervals and the
 //! frame rate alone.
 
 mod chunk;
@@ -16,6 +16,7 @@ use crate::recognise::CONTAINER_MAGIC as MAGIC;
 mod images;
 mod index;
 mod quantise;
+mod rans;
 mod read;
 mod table;
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::f64::consts::{LN_2, LOG2_E};
 
 use streamsplat_kernels::math::f64::{exp, expm1, ln, ln_1p};
 
-use super::table::{Form, LIMIT, MEAN, OFFSET, VALUES, VELOCITY};
+use super::table::{Form, LIMIT, MEAN, MEAN_UNITS, MOTION_UNITS, OFFSET, VALUES, VELOCITY};
 use crate::stream::{Handover, Record, Reference};
 
 /// A record in whole numbers.
@@ -60,11 +60,16 @@ impl Quantised {
         record
     }
 
-    /// The identity's tracked point at the interval's end.
+    /// The identity's tracked point at the interval's end, in steps of depth.
     pub(super) fn point_at_end(&self) -> [i64; 3] {
         std::array::from_fn(|axis| {
             let moved = if self.reference == Reference::Start { self.values[VELOCITY + axis] } else { 0 };
-            self.values[MEAN + axis] + self.values[OFFSET + axis] + moved
+            self.mean(axis) + (self.values[OFFSET + axis] + moved) * MOTION_UNITS
         })
+    }
+
+    /// The mean along an axis, in steps of depth.
+    pub(super) fn mean(&self, axis: usize) -> i64 {
+        self.values[MEAN + axis] * MEAN_UNITS[axis]
     }
 }

@@ -1,13 +1,13 @@
 //! The columns of a chunk, in storage order. A new value of a record is a row of [`VALUES`], after the others.
 
-use self::By::{Last, Link, Track};
+use self::By::{Grown, Last, Link, Track};
 use self::Form::{Log2, Log2Plus1, Over, Steps};
 use crate::stream::Record;
 
 /// The columns before those of values.
 pub(super) const LINKS: [&str; 6] = ["kind", "link", "code", "identity", "birth", "frame"];
-/// The columns after them, a number per merge.
-pub(super) const MERGES: [&str; 2] = ["merge", "merge_into"];
+/// The columns after them: the two records of each merge, and the identities that have no record.
+pub(super) const MERGES: [&str; 3] = ["merge", "merge_into", "merge_other"];
 
 /// A number of a record, which is stored as a whole number.
 pub(super) struct Value {
@@ -22,8 +22,8 @@ pub(super) struct Value {
     /// What predicts the whole number.
     pub(super) by: By,
     /// Steps of a container's whole numbers per step of a page's, which only draws. A page's steps are a sixteenth of a
-    /// pixel of 512×288 along x and z, a 512th of inverse depth, a sixteenth of an opacity, a quarter of an octave of
-    /// scale and thickness, a 64th of a colour.
+    /// pixel of 512×288 along x and z, a 512th of inverse depth, an eighth of an octave of opacity, a quarter of an
+    /// octave of scale and thickness, a 64th of a colour. A colour's divides [`GROWTH`] of its change's.
     #[cfg_attr(not(feature = "viewer"), expect(dead_code, reason = "only pages have coarser numbers"))]
     pub(super) coarseness: i64,
     /// Whether the column is empty where all its differences are 0.
@@ -43,12 +43,15 @@ pub(super) enum Form {
     Log2Plus1(f64),
 }
 
-/// Predictions of a whole number. A record is carried, following or fresh ([`chunk`](super::chunk)).
+/// Predictions of a whole number. A record is carried, kept, following or fresh ([`chunk`](super::chunk)).
 #[derive(Clone, Copy)]
 pub(super) enum By {
-    /// The linked record's for a carried one, else that of the last record that is not carried.
+    /// The linked record's for a carried or a kept one, else that of the last record that is neither.
     Link,
-    /// The linked record's for a carried one, the way to the tracked point for a following one, 0 for a fresh one.
+    /// As `Link`, but a kept one's has grown by its change over the interval before.
+    Grown,
+    /// The linked record's for a carried or a kept one, the way to the tracked point for a following one, 0 for a fresh
+    /// one.
     Track,
     /// That of the last record.
     Last,
@@ -58,41 +61,62 @@ pub(super) enum By {
 pub(super) const LIMIT: i64 = 1 << 46;
 const ANY: [i64; 2] = [-LIMIT, LIMIT];
 const FROM_0: [i64; 2] = [0, LIMIT];
-const WIDTHS: [i64; 2] = [-9664, 8128];
 
-const LENGTH: f64 = 8192.0;
-const COLOUR: f64 = 511.0;
+/// Steps to a world unit. Depth decides what covers what, so its steps are the finest: where two depths become equal,
+/// an image changes. Steps of velocities and offsets are whole multiples, so that tracked points are whole numbers.
+const DEPTH: f64 = 8192.0;
+const PLACE: f64 = DEPTH / PLACE_UNIT as f64;
+const MOTION: f64 = DEPTH / MOTION_UNIT as f64;
+/// Steps of depth in a step of a place across, and of a velocity or an offset.
+const PLACE_UNIT: i64 = 2;
+const MOTION_UNIT: i64 = 8;
+pub(super) const MEAN_UNITS: [i64; 3] = [PLACE_UNIT, 1, PLACE_UNIT];
+pub(super) const MOTION_UNITS: i64 = MOTION_UNIT;
+/// Steps to an octave of a size or an opacity, and the whole numbers of the least binary32 and of the greatest.
+const OCTAVE: f64 = 16.0;
+const OCTAVES: [i64; 2] = [-2416, 2032];
+const COLOUR: f64 = 128.0;
 /// Coarser than colours: it is multiplied by the time from the reference, and mostly visible where its Gaussian fades.
-const RATE: f64 = 255.0;
+const RATE: f64 = 32.0;
 
 /// The values of a record.
 pub(super) const VALUES: [Value; 21] = [
-    value("mean_x", |r| &mut r.mean[0], Steps(LENGTH), ANY, Link, 8),
-    value("mean_y", |r| &mut r.mean[1], Steps(LENGTH), ANY, Link, 16),
-    value("mean_z", |r| &mut r.mean[2], Steps(LENGTH), ANY, Link, 16),
-    value("offset_x", |r| &mut r.offset[0], Steps(LENGTH), ANY, Track, 1),
-    value("offset_y", |r| &mut r.offset[1], Steps(LENGTH), ANY, Track, 1),
-    value("offset_z", |r| &mut r.offset[2], Steps(LENGTH), ANY, Track, 1),
-    value("opacity", |r| &mut r.opacity, Steps(1023.0), FROM_0, Link, 64),
-    value("scale_x", |r| &mut r.scale[0], Log2(64.0), WIDTHS, Link, 16),
-    value("scale_z", |r| &mut r.scale[1], Log2(64.0), WIDTHS, Link, 16),
-    value("green", |r| &mut r.rgb[1], Steps(COLOUR), ANY, Link, 8),
-    value("red", |r| &mut r.rgb[0], Over(COLOUR, 1), ANY, Link, 12),
-    value("blue", |r| &mut r.rgb[2], Over(COLOUR, 2), ANY, Link, 12),
-    value("velocity_x", |r| &mut r.velocity[0], Steps(LENGTH), ANY, Last, 16),
-    value("velocity_y", |r| &mut r.velocity[1], Steps(LENGTH), ANY, Last, 16),
-    value("velocity_z", |r| &mut r.velocity[2], Steps(LENGTH), ANY, Last, 16),
+    value("mean_x", |r| &mut r.mean[0], Steps(PLACE), ANY, Link, 4),
+    value("mean_y", |r| &mut r.mean[1], Steps(DEPTH), ANY, Link, 16),
+    value("mean_z", |r| &mut r.mean[2], Steps(PLACE), ANY, Link, 8),
+    value("offset_x", |r| &mut r.offset[0], Steps(MOTION), ANY, Track, 1),
+    value("offset_y", |r| &mut r.offset[1], Steps(MOTION), ANY, Track, 1),
+    value("offset_z", |r| &mut r.offset[2], Steps(MOTION), ANY, Track, 1),
+    value("opacity", |r| &mut r.opacity, Log2(OCTAVE), OCTAVES, Link, 2),
+    value("scale_x", |r| &mut r.scale[0], Log2(OCTAVE), OCTAVES, Link, 4),
+    value("scale_z", |r| &mut r.scale[1], Log2(OCTAVE), OCTAVES, Link, 4),
+    value("green", |r| &mut r.rgb[1], Steps(COLOUR), ANY, Grown, 2),
+    value("red", |r| &mut r.rgb[0], Over(COLOUR, 1), ANY, Grown, 3),
+    value("blue", |r| &mut r.rgb[2], Over(COLOUR, 2), ANY, Grown, 3),
+    value("velocity_x", |r| &mut r.velocity[0], Steps(MOTION), ANY, Last, 2),
+    value("velocity_y", |r| &mut r.velocity[1], Steps(MOTION), ANY, Last, 2),
+    value("velocity_z", |r| &mut r.velocity[2], Steps(MOTION), ANY, Last, 2),
     value("gamma_0", |r| &mut r.gamma[0], Log2Plus1(32.0), [0, 4092], Last, 1),
     value("gamma_1", |r| &mut r.gamma[1], Steps(256.0), FROM_0, Last, 1),
-    value("green_rate", |r| &mut r.rgb_rate[1], Steps(RATE), ANY, Last, 24).rare(),
-    value("red_rate", |r| &mut r.rgb_rate[0], Over(RATE, 1), ANY, Last, 32).rare(),
-    value("blue_rate", |r| &mut r.rgb_rate[2], Over(RATE, 2), ANY, Last, 32).rare(),
-    value("thickness", |r| &mut r.thickness, Log2(64.0), WIDTHS, Link, 16).rare(),
+    value("green_rate", |r| &mut r.rgb_rate[1], Steps(RATE), ANY, Last, 3).rare(),
+    value("red_rate", |r| &mut r.rgb_rate[0], Over(RATE, 1), ANY, Last, 3).rare(),
+    value("blue_rate", |r| &mut r.rgb_rate[2], Over(RATE, 2), ANY, Last, 3).rare(),
+    value("thickness", |r| &mut r.thickness, Log2(OCTAVE), OCTAVES, Link, 4).rare(),
 ];
 /// The first row of each of the three from which tracked points follow.
 pub(super) const MEAN: usize = 0;
 pub(super) const OFFSET: usize = 3;
 pub(super) const VELOCITY: usize = 12;
+/// Rows from a colour to its change, and whole numbers that a colour grows by for one of its change.
+const TO_RATE: usize = 8;
+pub(super) const GROWTH: i64 = (COLOUR / RATE) as i64;
+
+/// The whole number of a record's colour after its change over an interval. `step`: steps of a container's whole
+/// numbers per step of these.
+pub(super) fn grown(values: &[i64; VALUES.len()], k: usize, step: fn(&Value) -> i64) -> i64 {
+    let rate = k + TO_RATE;
+    values[k] + values[rate] * (GROWTH * step(&VALUES[rate]) / step(&VALUES[k]))
+}
 
 const fn value(
     name: &'static str,
@@ -139,5 +163,19 @@ mod tests {
             *(value.of)(&mut record) = 0.5;
         });
         assert!(record.is_sound(), "{record:?}");
+    }
+
+    #[test]
+    fn colours_grow_by_their_change() {
+        let mut values = [0; VALUES.len()];
+        let names = VALUES.map(|value| value.name);
+        for (k, value) in VALUES.iter().enumerate().filter(|(_, value)| matches!(value.by, Grown)) {
+            assert_eq!(names[k + TO_RATE], format!("{}_rate", value.name));
+            assert_eq!(GROWTH * VALUES[k + TO_RATE].coarseness % value.coarseness, 0);
+            (values[k], values[k + TO_RATE]) = (10, 3);
+            assert_eq!(grown(&values, k, |_| 1), 22);
+            let coarse = GROWTH * VALUES[k + TO_RATE].coarseness / value.coarseness;
+            assert_eq!(grown(&values, k, |value| value.coarseness), 10 + 3 * coarse);
+        }
     }
 }
