@@ -5,10 +5,12 @@ import { HEADER, RECORD, SHORTS, WORDS, halfBits } from "./packet.js";
 import { wordsOf } from "./rans.js";
 
 const NAMES = (
-  "kind link code identity birth frame mean_x mean_y mean_z offset_x offset_y offset_z opacity scale_x scale_z green red blue " +
+  "kind link_row link code identity birth frame mean_x mean_y mean_z offset_x offset_y offset_z opacity scale_x scale_z green red blue " +
   "velocity_x velocity_y velocity_z gamma_0 gamma_1 green_rate red_rate blue_rate thickness merge merge_into merge_other"
 ).split(" ");
-const [KIND, LINK, CODE, IDENTITY, BIRTH, FRAME, FIRST, MERGE] = [0, 1, 2, 3, 4, 5, 6, 27];
+const [KIND, LINK_ROW, LINK, CODE, IDENTITY, BIRTH, FRAME, FIRST, MERGE] = [0, 1, 2, 3, 4, 5, 6, 7, 28];
+/** Cells of a row of the embedded model's grid, and the width of one in integers of mean_x. */
+const [ROW, CELL] = [256, 32];
 const [FRESH, CARRIED, KEPT] = [0, 1, 3];
 /** Number of values per record, and their positions. */
 export const VALUES = 21;
@@ -21,7 +23,7 @@ const isRare = (column) => column >= FIRST + RATE_AT && column < MERGE;
 /** Columns of which only the lengths are read. */
 const isSkipped = (column) => column >= MERGE || (column >= FIRST + OFFSET_AT && column < FIRST + OPACITY_AT);
 /** Integers per world unit of means and of velocities, per octave, and per unit of colours and of their changes. */
-const [ACROSS, DEPTH, MOTION, OCTAVE, COLOUR, RATE] = [4096, 8192, 1024, 16, 128, 32];
+const [ACROSS, DEPTH, MOTION, OCTAVE, COLOUR, RATE] = [4096, 16384, 1024, 16, 128, 32];
 /** The largest magnitude of the integers, and the ranges of logarithms. */
 const LIMIT = 2 ** 46;
 const [LEAST_OCTAVE, MOST_OCTAVE, MOST_GAMMA] = [-2416, 2032, 4092];
@@ -63,6 +65,11 @@ class Wide {
     this.high = ((high >>> 1) ^ sign) >>> 0;
     this.at++;
     return this;
+  }
+
+  /** The current number; magnitudes above 2⁵³ are rounded. */
+  number() {
+    return this.low + (this.high | 0) * 2 ** 32;
   }
 
   end() {
@@ -110,11 +117,11 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
   before ??= NONE;
   const named = (column) => `column ${NAMES[column]}`;
   const columns = stored.map((one, column) => {
-    if (isSkipped(column) || column === LINK || (column >= IDENTITY && column <= FRAME)) return null;
+    if (isSkipped(column) || column === LINK_ROW || column === LINK || (column >= IDENTITY && column <= FRAME)) return null;
     if (isRare(column) && !one.count) return null;
     return numbersOf(one, count, named(column), column !== KIND && column !== CODE);
   });
-  const [link, identities, births, frames] = [LINK, IDENTITY, BIRTH, FRAME].map((column) => new Wide(stored[column], named(column)));
+  const [linkRow, link, identities, births, frames] = [LINK_ROW, LINK, IDENTITY, BIRTH, FRAME].map((column) => new Wide(stored[column], named(column)));
   const [identity, birth, frame] = [0, 0, 0].map(() => new Uint32Array(2 * count));
   const linked = new Int32Array(count);
   const next = [0, 0, 0, 0];
@@ -136,8 +143,7 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
       putSum(expected, 0, identity[2 * i], identity[2 * i + 1], { low: 1, high: 0 }, 1);
       continue;
     }
-    const { low, high } = link.next();
-    const j = next[kind] + low + (high | 0) * 2 ** 32;
+    const j = next[kind] + ROW * linkRow.next().number() + link.next().number();
     const from = kind === CARRIED || kind === KEPT ? before : { count: i, identity, birth };
     if (!(j >= 0 && j < from.count)) throw wrong(named(LINK), "a record before", j);
     linked[i] = j;
@@ -146,7 +152,7 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
     copy(birth, i, from.birth, j);
     if (kind === CARRIED) copy(frame, i, from.frame, j);
   }
-  for (const column of [link, identities, births, frames]) column.end();
+  for (const column of [linkRow, link, identities, births, frames]) column.end();
   const values = Array.from({ length: VALUES }, () => null);
   for (const k of [...SINCE_LINK, ...SINCE_LAST]) values[k] = new Float64Array(count);
   for (const k of SINCE_LINK) {
@@ -154,11 +160,12 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
     // A kept record's colour has grown by its change.
     const rate = k >= GREEN_AT && k < GREEN_AT + 3 ? k + RATE_AT - GREEN_AT : null;
     const growth = rate === null ? 0 : ((COLOUR / RATE) * (coarseness?.[rate] ?? 1)) / (coarseness?.[k] ?? 1);
+    const ahead = k === 0 ? CELL / (coarseness?.[k] ?? 1) : 0;
     for (let i = 0, own = 0; i < count; i++) {
       const difference = differences ? differences[i] : 0;
       if (kinds[i] === CARRIED) mine[i] = theirs[linked[i]] + difference;
       else if (kinds[i] === KEPT) mine[i] = theirs[linked[i]] + (growth ? growth * before.values[rate][linked[i]] : 0) + difference;
-      else mine[i] = own += difference;
+      else mine[i] = own += difference + ahead;
     }
   }
   for (const k of SINCE_LAST) {

@@ -9,7 +9,7 @@
 //! | one time of a scene from a video: SPZ, SOG | 5, 8 |
 //! | a million equal Gaussians in a regular plane: SPZ, SOG | 22, 13 |
 //! | 90,000 of them with harmonics of degree 3, all 0: SPZ, SOG | 94, 47 |
-//! | a container of a still video, and of a still video of one colour | 14, 95 |
+//! | a container of a video of a locked camera, and of a video of one colour | 46, 49 |
 //! | a million equal Gaussians in one place: SPZ, SOG | 4800, 9500 |
 
 use std::fs::File;

@@ -126,9 +126,9 @@ const FRAMES = [
 /** A chunk of a page's container: records that are fresh, all differences small. */
 function chunk(count) {
   return Buffer.concat(
-    Array.from({ length: 30 }, (_, column) => {
-      const empty = column === 1 || column > 25;
-      return columnOf(Array.from({ length: empty ? 0 : count }, (_, i) => (column < 6 ? 0 : (i * 5 + column) & 14)));
+    Array.from({ length: 31 }, (_, column) => {
+      const empty = column === 1 || column === 2 || column > 26;
+      return columnOf(Array.from({ length: empty ? 0 : count }, (_, i) => (column < 7 ? 0 : (i * 5 + column) & 14)));
     }),
   );
 }

@@ -39,7 +39,7 @@ def quantised(t):
     """The whole numbers of a scene's tensors, as in docs/container.md."""
     n = len(t['opacity'])
     out = {}
-    for name, steps in (('mean', (4096, 8192, 4096)), ('offset', (1024,) * 3), ('velocity', (1024,) * 3)):
+    for name, steps in (('mean', (4096, 16384, 4096)), ('offset', (1024, 256, 1024)), ('velocity', (1024,) * 3)):
         out |= {f'{name}_{axis}': whole(t[name][:, k], steps[k]) for k, axis in enumerate('xyz')}
     for suffix, name, steps in (('', 'rgb', 128), ('_rate', 'rgb_rate', 32)):
         red, green, blue = whole(t.get(name, np.zeros((n, 3))), steps).T
@@ -130,7 +130,7 @@ def main(streamsplat, folder, path, *others):
             differ = np.flatnonzero(q[name] != values)
             check(not len(differ), f'interval {i}: {name}: {len(differ)} of {len(values)} differ, the first at {differ[:1]}')
             numbers += len(values)
-        steps = {'mean': np.array([4096, 8192, 4096]), 'velocity': 1024, 'offset': 1024, 'rgb': 128, 'rgb_rate': 32}
+        steps = {'mean': np.array([4096, 16384, 4096]), 'velocity': 1024, 'offset': np.array([1024, 256, 1024]), 'rgb': 128, 'rgb_rate': 32}
         for name, unit in steps.items():
             far = (np.abs(ours[name] - theirs.get(name, np.zeros_like(ours[name]))) * unit).max(initial=0)
             check(far <= (1.0 if 'rgb' in name else 0.5) + 1e-6, f'interval {i}: {name}: {far} steps off')

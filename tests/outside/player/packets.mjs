@@ -83,9 +83,9 @@ const folded = (x) => (x >= 0n ? 2n * x : -2n * x - 1n);
 let state = 1n;
 const random = () => BigInt.asIntN(64, (state = (state * 6364136223846793005n + 1442695040888963407n) % MODULUS) ^ (state >> 29n));
 const differences = [3, 4, 5].map(() => Array.from({ length: 200 }, random));
-const columns = Array.from({ length: 30 }, (_, column) => {
-  const differs = differences[column - 3];
-  return columnOf(column === 1 || column > 22 ? [] : differs ? differs.map(folded) : new Array(200).fill(0));
+const columns = Array.from({ length: 31 }, (_, column) => {
+  const differs = differences[column - 4];
+  return columnOf(column === 1 || column === 2 || column > 23 ? [] : differs ? differs.map(folded) : new Array(200).fill(0));
 });
 const wide = decode(Buffer.concat(columns), null, { count: 200 });
 const at64 = (words, i) => (BigInt(words[2 * i + 1]) << 32n) | BigInt(words[2 * i]);

@@ -8,11 +8,11 @@ import struct
 import numpy as np
 from blake3 import blake3
 
-NAMES = ('kind link code identity birth frame mean_x mean_y mean_z offset_x offset_y offset_z opacity scale_x scale_z green red blue '
+NAMES = ('kind link_row link code identity birth frame mean_x mean_y mean_z offset_x offset_y offset_z opacity scale_x scale_z green red blue '
          'velocity_x velocity_y velocity_z gamma_0 gamma_1 green_rate red_rate blue_rate thickness merge merge_into merge_other').split()
-MEAN, OFFSET, VELOCITY, RATES, THICKNESS = NAMES[6:9], NAMES[9:12], NAMES[18:21], NAMES[23:26], NAMES[26]
-BY_LINK = [*MEAN, *NAMES[12:18], THICKNESS]  # predicted by the linked record or by the last fresh or following one
-BY_LAST = [*VELOCITY, *NAMES[21:26]]  # predicted by the last record
+MEAN, OFFSET, VELOCITY, RATES, THICKNESS = NAMES[7:10], NAMES[10:13], NAMES[19:22], NAMES[24:27], NAMES[27]
+BY_LINK = [*MEAN, *NAMES[13:19], THICKNESS]  # predicted by the linked record or by the last fresh or following one
+BY_LAST = [*VELOCITY, *NAMES[22:27]]  # predicted by the last record
 CHANGES = dict(zip(('green', 'red', 'blue'), RATES))
 FRESH, CARRIED, FOLLOWING, KEPT = range(4)
 CLASS = [0, 1, 2, 3, 3, 4, 4, 4, 5, 5, 5, 5, 5, 6, 6, 6, 6, 6, 6, 6, 6] + [7] * 483
@@ -133,7 +133,7 @@ class Container:
         expect((kind <= 3).all() and (code <= 5).all(), 'kind and code', 'at most 3 and 5', (kind.max(initial=0), code.max(initial=0)))
         fresh, carried, following, kept = (kind == k for k in range(4))
         old = carried | kept
-        link = iter(numbers('link', raw['link'], n - fresh.sum(), True).tolist())
+        link = iter((256 * numbers('link_row', raw['link_row'], n - fresh.sum(), True) + numbers('link', raw['link'], n - fresh.sum(), True)).tolist())
         identities, births = (iter(numbers(name, raw[name], fresh.sum(), True).tolist()) for name in ('identity', 'birth'))
         frames = iter(numbers('frame', raw['frame'], n - carried.sum(), True).tolist())
         identity, birth, frame, linked = (np.zeros(n, kind) for kind in (np.uint64, np.uint64, np.uint64, int))
@@ -152,24 +152,24 @@ class Container:
             frame[j] = before['frame'][to] if k == CARRIED else frame_of[k]
         records = dict(kind=kind, reference=code & 1, handover=code >> np.uint64(1), identity=identity, birth=birth, frame=frame)
         empty = [name for name in (*RATES, THICKNESS) if not raw[name][0]]
-        difference = {name: np.zeros(n, int) if name in empty else numbers(name, raw[name], n, True) for name in NAMES[6:27]}
+        difference = {name: np.zeros(n, int) if name in empty else numbers(name, raw[name], n, True) for name in NAMES[7:28]}
         for name in BY_LAST:
             records[name] = np.cumsum(difference[name])
         for name in BY_LINK:
             records[name] = np.zeros(n, int)
-            records[name][~old] = np.cumsum(difference[name][~old])
+            records[name][~old] = np.cumsum(difference[name][~old] + 32 * (name == 'mean_x'))
             records[name][old] = before[name][linked[old]] + difference[name][old] if old.any() else 0
         for name, change in CHANGES.items() if kept.any() else ():
             records[name][kept] += 4 * before[change][linked[kept]]
-        for mean, offset, velocity, unit in zip(MEAN, OFFSET, VELOCITY, (2, 1, 2)):
+        for mean, offset, velocity, unit, step in zip(MEAN, OFFSET, VELOCITY, (4, 1, 4), (16, 64, 16)):
             values = records[offset] = difference[offset].copy()
             values[old] += before[offset][linked[old]] if old.any() else 0
             for j in np.flatnonzero(following):
                 to = linked[j]
-                point = unit * records[mean][to] + 8 * (values[to] + (records[velocity][to] if records['reference'][to] == 0 else 0))
-                values[j] += max(-LIMIT, min(LIMIT, (point - unit * records[mean][j] + 4) // 8))
+                point = unit * records[mean][to] + step * values[to] + (16 * records[velocity][to] if records['reference'][to] == 0 else 0)
+                values[j] += max(-LIMIT, min(LIMIT, (point - unit * records[mean][j] + step // 2) // step))
         ranges = {'gamma_0': (0, 4092), 'gamma_1': (0, LIMIT)} | dict.fromkeys(('opacity', 'scale_x', 'scale_z', THICKNESS), (-2416, 2032))
-        for name in NAMES[6:27]:
+        for name in NAMES[7:28]:
             low, high = ranges.get(name, (-LIMIT, LIMIT))
             expect((records[name] >= low).all() and (records[name] <= high).all(), name, f'{low} to {high}', 'others')
         places = [np.cumsum(numbers(name, raw[name], entry['merges'], True)).tolist() for name in ('merge', 'merge_into')]
@@ -190,6 +190,6 @@ class Container:
         exponent = lambda names: np.where((e := stack(names, 16)) == -2416 / 16, 0, 2.0 ** e)
         kept = {name: q[name] for name in ('reference', 'handover', 'identity', 'birth', 'frame', 'merges')}
         gamma = np.stack([2.0 ** (q['gamma_0'] / 32) - 1, q['gamma_1'] / 256], 1)
-        places = dict(mean=stack(MEAN, (4096, 8192, 4096)), velocity=stack(VELOCITY, 1024), offset=stack(OFFSET, 1024))
+        places = dict(mean=stack(MEAN, (4096, 16384, 4096)), velocity=stack(VELOCITY, 1024), offset=stack(OFFSET, (1024, 256, 1024)))
         shapes = dict(opacity=exponent(('opacity',))[:, 0], scale=exponent(('scale_x', 'scale_z')), thickness=exponent((THICKNESS,))[:, 0])
         return places | shapes | kept | dict(gamma=gamma, rgb=colour('green', 'red', 'blue', 128), rgb_rate=colour('green_rate', 'red_rate', 'blue_rate', 32))

@@ -163,7 +163,8 @@ fn container(intervals: usize, count: u32) -> Vec<u8> {
         [&numbers.to_le_bytes()[..], &(coded.len() as u32).to_le_bytes(), coded].concat()
     };
     let (full, empty) = (column(count), column(0));
-    let chunk: Vec<u8> = (0..30).flat_map(|k| if k == 1 || k > 22 { &empty } else { &full }).copied().collect();
+    let chunk: Vec<u8> =
+        (0..31).flat_map(|k| if k == 1 || k == 2 || k > 23 { &empty } else { &full }).copied().collect();
     let header = [&b"ssplat\x1a\n"[..], &1_u64.to_le_bytes()].concat();
     let mut index = 25_f64.to_le_bytes().to_vec();
     index.extend([64_u32, 64, 64, 64, 0, 0, 64, 64, intervals as u32].iter().flat_map(|side| side.to_le_bytes()));

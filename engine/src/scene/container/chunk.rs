@@ -15,7 +15,7 @@
 use super::MOST;
 use super::columns::{Column, Values};
 use super::quantise::Quantised;
-use super::table::{By, LIMIT, LINKS, MERGES, MOTION_UNITS, OFFSET, VALUES, Value, grown};
+use super::table::{By, LIMIT, LINKS, MERGES, OFFSET, OFFSET_UNITS, ROW, VALUES, Value, grown};
 use crate::formats::FormatError;
 use crate::stream::{Handover, Merge, Reference};
 use std::collections::BTreeMap;
@@ -28,11 +28,12 @@ const KEPT: u64 = 3;
 
 // Places of columns: those of LINKS, those of values, those of MERGES.
 const KIND: usize = 0;
-const LINK: usize = 1;
-const CODE: usize = 2;
-const IDENTITY: usize = 3;
-const BIRTH: usize = 4;
-const FRAME: usize = 5;
+const LINK_ROW: usize = 1;
+const LINK: usize = 2;
+const CODE: usize = 3;
+const IDENTITY: usize = 4;
+const BIRTH: usize = 5;
+const FRAME: usize = 6;
 const FIRST: usize = LINKS.len();
 const MERGE: usize = FIRST + VALUES.len();
 const MERGE_INTO: usize = MERGE + 1;
@@ -67,6 +68,7 @@ impl Predictor {
             By::Grown if kind == KEPT => grown(&linked.values, k, step),
             _ if is_from_before(kind) => linked.values[k],
             By::Link | By::Grown => self.own.values[k],
+            By::Ahead(width) => self.own.values[k] + width / step(&VALUES[k]),
             By::Track => 0,
         })
     }
@@ -88,7 +90,8 @@ impl Predictor {
 fn following_offset(parent: &Quantised, record: &Quantised) -> [i64; 3] {
     let point = parent.point_at_end();
     std::array::from_fn(|axis| {
-        (point[axis] - record.mean(axis) + MOTION_UNITS / 2).div_euclid(MOTION_UNITS).clamp(-LIMIT, LIMIT)
+        let unit = OFFSET_UNITS[axis];
+        (point[axis] - record.mean(axis) + unit / 2).div_euclid(unit).clamp(-LIMIT, LIMIT)
     })
 }
 
@@ -142,7 +145,10 @@ fn columns(
         match linked {
             Some((j, _)) => {
                 let next = &mut predictor.next[kind as usize];
-                columns[LINK].push_signed((j as u64).wrapping_sub(*next).cast_signed());
+                let jump = (j as u64).wrapping_sub(*next).cast_signed();
+                let row = (jump + ROW / 2).div_euclid(ROW);
+                columns[LINK_ROW].push_signed(row);
+                columns[LINK].push_signed(jump - row * ROW);
                 *next = j as u64 + 1;
             }
             None => {
@@ -276,7 +282,8 @@ fn next(
         record.birth = record.frame.wrapping_sub(columns[BIRTH].next_signed()?.cast_unsigned());
     } else {
         let next = &mut predictor.next[kind as usize];
-        let link = next.wrapping_add_signed(columns[LINK].next_signed()?);
+        let row = columns[LINK_ROW].next_signed()?.wrapping_mul(ROW);
+        let link = next.wrapping_add_signed(row.wrapping_add(columns[LINK].next_signed()?));
         linked = *usize::try_from(link)
             .ok()
             .and_then(|link| among.get(link))

@@ -4,7 +4,7 @@ use std::f64::consts::{LN_2, LOG2_E};
 
 use streamsplat_kernels::math::f64::{exp, expm1, ln, ln_1p};
 
-use super::table::{Form, LIMIT, MEAN, MEAN_UNITS, MOTION_UNITS, OFFSET, VALUES, VELOCITY};
+use super::table::{Form, LIMIT, MEAN, MEAN_UNITS, OFFSET, OFFSET_UNITS, VALUES, VELOCITY, VELOCITY_UNIT};
 use crate::stream::{Handover, Record, Reference};
 
 /// A record in whole numbers.
@@ -64,7 +64,7 @@ impl Quantised {
     pub(super) fn point_at_end(&self) -> [i64; 3] {
         std::array::from_fn(|axis| {
             let moved = if self.reference == Reference::Start { self.values[VELOCITY + axis] } else { 0 };
-            self.mean(axis) + (self.values[OFFSET + axis] + moved) * MOTION_UNITS
+            self.mean(axis) + self.values[OFFSET + axis] * OFFSET_UNITS[axis] + moved * VELOCITY_UNIT
         })
     }
 

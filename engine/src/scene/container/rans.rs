@@ -1,5 +1,5 @@
-//! The entropy coder of [`columns`](super::columns): tokens in classes, and extra bits. `docs/container.md` describes the
-//! bytes.
+//! The entropy coder of [`columns`](super::columns): tokens in classes, and extra bits. `docs/container.md` describes
+//! the bytes.
 
 /// Binary logarithm of the sum of the probabilities of a table.
 const BITS: u32 = 12;
@@ -301,7 +301,7 @@ mod tests {
     #[test]
     fn every_weight_has_a_code_and_no_token_is_lost() {
         (1..=255).for_each(|c| assert_eq!(code(weight(c)), c));
-        // The rarest tokens beside the most frequent one.
+        // The rarest tokens next to the most frequent one.
         for others in [1, 100, 251] {
             let mut counts = vec![1_u32; others];
             counts.push(u32::MAX);

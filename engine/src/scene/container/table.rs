@@ -1,11 +1,13 @@
 //! The columns of a chunk, in storage order. A new value of a record is a row of [`VALUES`], after the others.
 
-use self::By::{Grown, Last, Link, Track};
+use self::By::{Ahead, Grown, Last, Link, Track};
 use self::Form::{Log2, Log2Plus1, Over, Steps};
 use crate::stream::Record;
 
 /// The columns before those of values.
-pub(super) const LINKS: [&str; 6] = ["kind", "link", "code", "identity", "birth", "frame"];
+pub(super) const LINKS: [&str; 7] = ["kind", "link_row", "link", "code", "identity", "birth", "frame"];
+/// Cells of a row of the embedded model's grid. Links jump by rows, where a record continues one above or below.
+pub(super) const ROW: i64 = 256;
 /// The columns after them: the two records of each merge, and the identities that have no record.
 pub(super) const MERGES: [&str; 3] = ["merge", "merge_into", "merge_other"];
 
@@ -48,6 +50,8 @@ pub(super) enum Form {
 pub(super) enum By {
     /// The linked record's for a carried or a kept one, else that of the last record that is neither.
     Link,
+    /// As `Link`, but so many whole numbers further: the width of a cell of the embedded model's grid.
+    Ahead(i64),
     /// As `Link`, but a kept one's has grown by its change over the interval before.
     Grown,
     /// The linked record's for a carried or a kept one, the way to the tracked point for a following one, 0 for a fresh
@@ -63,15 +67,18 @@ const ANY: [i64; 2] = [-LIMIT, LIMIT];
 const FROM_0: [i64; 2] = [0, LIMIT];
 
 /// Steps to a world unit. Depth decides what covers what, so its steps are the finest: where two depths become equal,
-/// an image changes. Steps of velocities and offsets are whole multiples, so that tracked points are whole numbers.
-const DEPTH: f64 = 8192.0;
+/// an image changes. Offsets concern tracked points alone. Steps of velocities and offsets are whole multiples, so that
+/// tracked points are whole numbers.
+const DEPTH: f64 = 16384.0;
 const PLACE: f64 = DEPTH / PLACE_UNIT as f64;
-const MOTION: f64 = DEPTH / MOTION_UNIT as f64;
-/// Steps of depth in a step of a place across, and of a velocity or an offset.
-const PLACE_UNIT: i64 = 2;
-const MOTION_UNIT: i64 = 8;
+const MOTION: f64 = DEPTH / VELOCITY_UNIT as f64;
+const TRACK: f64 = DEPTH / TRACK_UNIT as f64;
+/// Steps of depth in a step of a place across, of a velocity or an offset across, and of an offset in depth.
+const PLACE_UNIT: i64 = 4;
+pub(super) const VELOCITY_UNIT: i64 = 16;
+const TRACK_UNIT: i64 = 64;
 pub(super) const MEAN_UNITS: [i64; 3] = [PLACE_UNIT, 1, PLACE_UNIT];
-pub(super) const MOTION_UNITS: i64 = MOTION_UNIT;
+pub(super) const OFFSET_UNITS: [i64; 3] = [VELOCITY_UNIT, TRACK_UNIT, VELOCITY_UNIT];
 /// Steps to an octave of a size or an opacity, and the whole numbers of the least binary32 and of the greatest.
 const OCTAVE: f64 = 16.0;
 const OCTAVES: [i64; 2] = [-2416, 2032];
@@ -81,11 +88,11 @@ const RATE: f64 = 32.0;
 
 /// The values of a record.
 pub(super) const VALUES: [Value; 21] = [
-    value("mean_x", |r| &mut r.mean[0], Steps(PLACE), ANY, Link, 4),
-    value("mean_y", |r| &mut r.mean[1], Steps(DEPTH), ANY, Link, 16),
+    value("mean_x", |r| &mut r.mean[0], Steps(PLACE), ANY, Ahead(32), 4),
+    value("mean_y", |r| &mut r.mean[1], Steps(DEPTH), ANY, Link, 32),
     value("mean_z", |r| &mut r.mean[2], Steps(PLACE), ANY, Link, 8),
     value("offset_x", |r| &mut r.offset[0], Steps(MOTION), ANY, Track, 1),
-    value("offset_y", |r| &mut r.offset[1], Steps(MOTION), ANY, Track, 1),
+    value("offset_y", |r| &mut r.offset[1], Steps(TRACK), ANY, Track, 1),
     value("offset_z", |r| &mut r.offset[2], Steps(MOTION), ANY, Track, 1),
     value("opacity", |r| &mut r.opacity, Log2(OCTAVE), OCTAVES, Link, 2),
     value("scale_x", |r| &mut r.scale[0], Log2(OCTAVE), OCTAVES, Link, 4),
