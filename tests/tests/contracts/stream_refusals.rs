@@ -2,8 +2,10 @@
 
 use std::sync::Arc;
 
-use streamsplat::stream::{DepthRange, Fusion, ModelSource, Motion, Reconstructor, Session};
-use streamsplat::{Engine, EngineError, Frame, Settings};
+use streamsplat::stream::{
+    DepthRange, Fade, Fusion, ModelSource, Motion, MotionFrom, Reconstructor, Session, StaticRegions, Tiling,
+};
+use streamsplat::{Engine, EngineError, Frame, Interval, Settings};
 use streamsplat_model::reuse::{Saving, Tokens};
 use streamsplat_model::zero_output::ZeroOutput;
 use streamsplat_model::{Embedding, FrameInput, ModelError, Sampling, Side, StaticGaussians};
@@ -116,10 +118,13 @@ fn depth_is_normalised_and_its_bad_values_are_counted() {
 const CALLS: [&str; 9] =
     ["embed", "upsample", "gaussians", "condition", "decode", "upsample_motion", "motion", "tokens", "zero_output"];
 
-/// A theatre whose call named in the mutex panics once.
-struct Failing(Arc<Theatre>, Arc<std::sync::Mutex<Option<&'static str>>>);
+/// The calls of a session that computes parts of frames.
+const PARTS: [&str; 3] = ["embed_part", "upsample_part", "gaussians_part"];
 
-struct FailingSession(Box<dyn Session>, Arc<std::sync::Mutex<Option<&'static str>>>);
+/// A theatre whose call named in the mutex panics once. It computes parts of frames if it has this tiling.
+struct Failing(Arc<Theatre>, Arc<std::sync::Mutex<Option<&'static str>>>, Option<Tiling>);
+
+struct FailingSession(Box<dyn Session>, Arc<std::sync::Mutex<Option<&'static str>>>, bool);
 
 fn fail(told: &std::sync::Mutex<Option<&'static str>>, call: &str) {
     let now = told.lock().expect("unpoisoned").take_if(|told| *told == call).is_some();
@@ -131,13 +136,17 @@ impl Reconstructor for Failing {
         self.0.resolution()
     }
 
+    fn tiling(&self) -> Option<Tiling> {
+        self.2
+    }
+
     fn zero_output(&self) -> &[ZeroOutput] {
         fail(&self.1, "zero_output");
         &[]
     }
 
     fn session(self: Arc<Self>, saving: Option<Saving>) -> Box<dyn Session> {
-        Box::new(FailingSession(self.0.clone().session(saving), self.1.clone()))
+        Box::new(FailingSession(self.0.clone().session(saving), self.1.clone(), self.2.is_some()))
     }
 }
 
@@ -155,6 +164,25 @@ impl Session for FailingSession {
     fn gaussians(&mut self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError> {
         fail(&self.1, "gaussians");
         self.0.gaussians(tokens, sampling)
+    }
+
+    fn computes_parts(&self) -> bool {
+        self.2
+    }
+
+    fn embed_part(&mut self, frame: &FrameInput<'_>, part: &[u32]) -> Result<Embedding, ModelError> {
+        fail(&self.1, "embed_part");
+        self.0.embed_part(frame, part)
+    }
+
+    fn upsample_part(&mut self, embedding: &Embedding, part: &[u32]) -> Result<Vec<f32>, ModelError> {
+        fail(&self.1, "upsample_part");
+        self.0.upsample_part(embedding, part)
+    }
+
+    fn gaussians_part(&mut self, tokens: &[f32], part: &[u32]) -> Result<StaticGaussians, ModelError> {
+        fail(&self.1, "gaussians_part");
+        self.0.gaussians_part(tokens, part)
     }
 
     fn draws_positions(&self) -> bool {
@@ -191,13 +219,65 @@ impl Session for FailingSession {
     }
 }
 
+/// Frame `k` of a static camera: a wall with a disc that moves before it.
+fn disc(k: usize) -> Frame {
+    let (width, height) = (256, 144);
+    let rgb = (0..3 * width * height)
+        .map(|i| {
+            let (plane, y, x) = (i / (width * height), (i / width % height) as f32, (i % width) as f32);
+            let inside = (x - 60.0 - 3.0 * k as f32).hypot(y - 72.0) < 14.0;
+            if inside { [0.9, 0.2, 0.1][plane] } else { 0.5 + 0.2 * (0.13 * x).sin() * (0.09 * y).cos() }
+        })
+        .collect();
+    Frame { width, height, rgb, depth: None }
+}
+
+/// Pushes every second of these frames as a key frame.
+fn push(engine: &mut Engine, key: usize) -> Result<Interval, EngineError> {
+    let between = if key > 0 { vec![(disc(2 * key - 1), 2.0 * key as f64 - 1.0)] } else { Vec::new() };
+    engine.push_with(between, disc(2 * key), 2.0 * key as f64)
+}
+
+#[test]
+fn a_panic_in_a_call_for_a_part_of_a_frame_leaves_the_stream_as_it_was() {
+    let theatre = Arc::new(Theatre::new([72, 128]));
+    let tiling = Some(Tiling { patch: 8, cells: 4, partial: false });
+    for call in PARTS {
+        let told = Arc::new(std::sync::Mutex::new(None));
+        let engine = || {
+            let model: Arc<dyn Reconstructor> = Arc::new(Failing(theatre.clone(), told.clone(), tiling));
+            let settings = Settings {
+                motion: Some(MotionFrom::Between),
+                fade: Some(Fade::Fixed),
+                still: Some(StaticRegions::Keep),
+                refine: Some(2),
+                threads: 1,
+                ..Settings::with_model(ModelSource::Shared(model))
+            };
+            Engine::new(settings).expect("starts")
+        };
+        let (mut struck, mut untouched) = (engine(), engine());
+        for key in 0..4 {
+            let expected = push(&mut untouched, key).expect("taken");
+            if key == 2 {
+                *told.lock().expect("unpoisoned") = Some(call);
+                let struck = std::panic::AssertUnwindSafe(|| push(&mut struck, key));
+                assert!(std::panic::catch_unwind(struck).is_err(), "{call} was not called");
+            }
+            let found = push(&mut struck, key).expect("taken");
+            assert_eq!((found.index, found.start, found.end), (expected.index, expected.start, expected.end), "{call}");
+            assert_eq!(found.gaussians, expected.gaussians, "{call}");
+        }
+    }
+}
+
 #[test]
 fn a_panic_in_any_call_of_a_reconstructor_leaves_the_stream_as_it_was() {
     let theatre = Arc::new(Theatre::new([6, 10]));
     for call in CALLS {
         let told = Arc::new(std::sync::Mutex::new(None));
         let engine = || {
-            let model: Arc<dyn Reconstructor> = Arc::new(Failing(theatre.clone(), told.clone()));
+            let model: Arc<dyn Reconstructor> = Arc::new(Failing(theatre.clone(), told.clone(), None));
             Engine::new(Settings { threads: 1, ..Settings::with_model(ModelSource::Shared(model)) }).expect("starts")
         };
         let (mut struck, mut untouched) = (engine(), engine());
