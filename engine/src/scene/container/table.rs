@@ -23,7 +23,7 @@ pub(super) struct Value {
     pub(super) range: [i64; 2],
     /// What predicts the whole number.
     pub(super) by: By,
-    /// Steps of a container's whole numbers per step of a page's, which only draws. A page's steps are a sixteenth of a
+    /// Steps of a container's whole numbers per step of a page's, which only draws. A page's steps are a quarter of a
     /// pixel of 512×288 along x and z, a 512th of inverse depth, an eighth of an octave of opacity, a quarter of an
     /// octave of scale and thickness, a 64th of a colour. A colour's divides [`GROWTH`] of its change's.
     #[cfg_attr(not(feature = "viewer"), expect(dead_code, reason = "only pages have coarser numbers"))]
