@@ -11,6 +11,7 @@ const NAMES = (
 const [KIND, LINK_ROW, LINK, CODE, IDENTITY, BIRTH, FRAME, FIRST, MERGE] = [0, 1, 2, 3, 4, 5, 6, 7, 28];
 /** Cells of a row of the embedded model's grid, and the width of one in integers of mean_x. */
 const [ROW, CELL] = [256, 32];
+const MOST_ROWS = 65536;
 const [FRESH, CARRIED, KEPT] = [0, 1, 3];
 /** Number of values per record, and their positions. */
 export const VALUES = 21;
@@ -23,7 +24,7 @@ const isRare = (column) => column >= FIRST + RATE_AT && column < MERGE;
 /** Columns of which only the lengths are read. */
 const isSkipped = (column) => column >= MERGE || (column >= FIRST + OFFSET_AT && column < FIRST + OPACITY_AT);
 /** Integers per world unit of means and of velocities, per octave, and per unit of colours and of their changes. */
-const [ACROSS, DEPTH, MOTION, OCTAVE, COLOUR, RATE] = [4096, 16384, 1024, 16, 128, 32];
+const STEPS = { across: 4096, depth: 16384, motion: 1024, octave: 16, colour: 128, rate: 32 };
 /** The largest magnitude of the integers, and the ranges of logarithms. */
 const LIMIT = 2 ** 46;
 const [LEAST_OCTAVE, MOST_OCTAVE, MOST_GAMMA] = [-2416, 2032, 4092];
@@ -32,8 +33,7 @@ export const MOST_GAUSSIANS = 2 ** 24;
 const SEEN_AT = Math.fround(1 / 255);
 
 /** Decodes the numbers of a column. Magnitudes above 2⁵³ are rounded; valid values are smaller. */
-function numbersOf({ bytes, count }, expected, name, signed) {
-  if (count !== expected) throw wrong(name, `${expected} numbers`, count);
+function numbersOf({ bytes, count }, name, signed) {
   const numbers = new Float64Array(count);
   if (!count) return numbers;
   const { low, high } = wordsOf(bytes, count, name);
@@ -99,8 +99,15 @@ function columnsOf(chunk, counted) {
     at += 8 + stored;
     return isSkipped(column) ? { bytes: null, count: 0 } : { bytes: chunk.subarray(at - stored, at), count };
   });
-  // The text of a page's chunk may end in a byte of padding from its last digits.
-  if (counted !== null && at !== chunk.length) throw wrong("chunk", "its end after the last column", `${chunk.length - at} more bytes`);
+  const { count } = columns[KIND];
+  for (const [column, one] of columns.entries()) {
+    const some = column === LINK_ROW || column === LINK || (column >= IDENTITY && column <= FRAME);
+    if (isSkipped(column) || some || (isRare(column) && !one.count)) continue;
+    if (one.count !== (counted ?? count)) throw wrong(`column ${NAMES[column]}`, `${counted ?? count} numbers`, one.count);
+  }
+  // The text of a page's chunk may end in a byte of zero from its last digits.
+  const more = chunk.length - at;
+  if (more && (counted !== null || more > 1 || chunk[at])) throw wrong("chunk", "its end after the last column", `${more} more bytes`);
   return columns;
 }
 
@@ -116,11 +123,10 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
   count ??= stored[KIND].count;
   before ??= NONE;
   const named = (column) => `column ${NAMES[column]}`;
-  const columns = stored.map((one, column) => {
-    if (isSkipped(column) || column === LINK_ROW || column === LINK || (column >= IDENTITY && column <= FRAME)) return null;
-    if (isRare(column) && !one.count) return null;
-    return numbersOf(one, count, named(column), column !== KIND && column !== CODE);
-  });
+  const numbers = (column, signed) => numbersOf(stored[column], named(column), signed);
+  const [kinds, code] = [numbers(KIND, false), numbers(CODE, false)];
+  /** Differences are decoded column by column, so that few are in memory at once; a rare column may have none. */
+  const differencesOf = (k) => (stored[FIRST + k].count ? numbers(FIRST + k, true) : null);
   const [linkRow, link, identities, births, frames] = [LINK_ROW, LINK, IDENTITY, BIRTH, FRAME].map((column) => new Wide(stored[column], named(column)));
   const [identity, birth, frame] = [0, 0, 0].map(() => new Uint32Array(2 * count));
   const linked = new Int32Array(count);
@@ -130,9 +136,9 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
   const expected = new Uint32Array(2);
   const copy = (to, i, from, j) => ([to[2 * i], to[2 * i + 1]] = [from[2 * j], from[2 * j + 1]]);
   for (let i = 0; i < count; i++) {
-    const kind = columns[KIND][i];
+    const kind = kinds[i];
     if (kind > KEPT) throw wrong(named(KIND), "0 to 3", kind);
-    if (columns[CODE][i] > 5) throw wrong(named(CODE), "0 to 5", columns[CODE][i]);
+    if (code[i] > 5) throw wrong(named(CODE), "0 to 5", code[i]);
     if (kind !== CARRIED) {
       putSum(frame, i, last[2 * kind], last[2 * kind + 1], frames.next(), 1);
       copy(last, kind, frame, i);
@@ -143,7 +149,11 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
       putSum(expected, 0, identity[2 * i], identity[2 * i + 1], { low: 1, high: 0 }, 1);
       continue;
     }
-    const j = next[kind] + ROW * linkRow.next().number() + link.next().number();
+    const [row, within] = [linkRow.next().number(), link.next().number()];
+    if (Math.abs(row) > MOST_ROWS || within < -ROW / 2 || within >= ROW / 2) {
+      throw wrong("columns link_row, link", "at most 65536 rows either way, and -128 to 127", `${row}, ${within}`);
+    }
+    const j = next[kind] + ROW * row + within;
     const from = kind === CARRIED || kind === KEPT ? before : { count: i, identity, birth };
     if (!(j >= 0 && j < from.count)) throw wrong(named(LINK), "a record before", j);
     linked[i] = j;
@@ -156,10 +166,10 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
   const values = Array.from({ length: VALUES }, () => null);
   for (const k of [...SINCE_LINK, ...SINCE_LAST]) values[k] = new Float64Array(count);
   for (const k of SINCE_LINK) {
-    const [differences, mine, theirs, kinds] = [columns[FIRST + k], values[k], before.values?.[k], columns[KIND]];
+    const [differences, mine, theirs] = [differencesOf(k), values[k], before.values?.[k]];
     // A kept record's colour has grown by its change.
     const rate = k >= GREEN_AT && k < GREEN_AT + 3 ? k + RATE_AT - GREEN_AT : null;
-    const growth = rate === null ? 0 : ((COLOUR / RATE) * (coarseness?.[rate] ?? 1)) / (coarseness?.[k] ?? 1);
+    const growth = rate === null ? 0 : ((STEPS.colour / STEPS.rate) * (coarseness?.[rate] ?? 1)) / (coarseness?.[k] ?? 1);
     const ahead = k === 0 ? CELL / (coarseness?.[k] ?? 1) : 0;
     for (let i = 0, own = 0; i < count; i++) {
       const difference = differences ? differences[i] : 0;
@@ -169,11 +179,11 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
     }
   }
   for (const k of SINCE_LAST) {
-    const differences = columns[FIRST + k];
+    const differences = differencesOf(k);
     if (differences) for (let i = 0, last = 0; i < count; i++) last = values[k][i] = last + differences[i];
   }
   for (const [k, column] of values.entries()) if (column) checkRange(column, k, coarseness?.[k] ?? 1);
-  return { count, code: columns[CODE], identity, birth, frame, values };
+  return { count, code, identity, birth, frame, values };
 }
 
 /** Throws for integers outside the valid range of a column. */
@@ -230,9 +240,9 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
     return out;
   };
   const coloured = (at, steps) => [scaled(steps, at + 1, at), scaled(steps, at), scaled(steps, at + 2, at)];
-  const octaves = (q) => Math.exp((q / OCTAVE) * Math.LN2);
-  const lengths = [ACROSS, DEPTH, ACROSS].map((steps, k) => scaled(steps, k)).concat([0, 1, 2].map((k) => scaled(MOTION, VELOCITY_AT + k)));
-  const [colours, rates] = [coloured(GREEN_AT, COLOUR), coloured(RATE_AT, RATE)];
+  const octaves = (q) => Math.exp((q / STEPS.octave) * Math.LN2);
+  const lengths = [STEPS.across, STEPS.depth, STEPS.across].map((steps, k) => scaled(steps, k)).concat([0, 1, 2].map((k) => scaled(STEPS.motion, VELOCITY_AT + k)));
+  const [colours, rates] = [coloured(GREEN_AT, STEPS.colour), coloured(RATE_AT, STEPS.rate)];
   const opacityOf = byNumber(values[OPACITY_AT], (q) => Math.fround(octaves(q * step(OPACITY_AT))));
   const opacity = Float32Array.from({ length: count }, (_, i) => opacityOf(i));
   const [y, vy] = [lengths[1], lengths[4]];

@@ -255,6 +255,33 @@ mod tests {
         }
     }
 
+    /// Names that a line declares at a script's top level, as the modules are written: one statement a line.
+    fn declared(line: &str) -> Vec<String> {
+        let Some((word, rest)) = line.split_once(' ') else { return Vec::new() };
+        // Shaders are text in the modules, and declare types.
+        if ["float", "int", "uint", "vec"].iter().any(|kind| rest.starts_with(kind)) {
+            return Vec::new();
+        }
+        let names = match (word, rest.strip_prefix("function")) {
+            ("const" | "let", _) => rest.split('=').next().unwrap_or_default(),
+            ("class" | "function", _) => rest.split(['(', ' ']).next().unwrap_or_default(),
+            ("async", Some(rest)) => rest.split('(').next().unwrap_or_default(),
+            _ => return Vec::new(),
+        };
+        let parts = names.split(|c: char| !c.is_alphanumeric() && c != '_' && c != '$');
+        parts.filter(|name| !name.is_empty()).map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn no_name_is_declared_twice_in_a_joined_script() {
+        for script in [joined(&SCRIPT_FILES), joined(&WORKER_FILES)] {
+            let mut seen = std::collections::BTreeSet::new();
+            let again: Vec<String> =
+                script.lines().flat_map(declared).filter(|name| !seen.insert(name.clone())).collect();
+            assert!(again.is_empty() && seen.len() > 100, "{again:?} of {} names", seen.len());
+        }
+    }
+
     #[test]
     fn the_page_names_no_other_place() {
         let page = bare();

@@ -4,6 +4,7 @@
 """
 
 import struct
+from itertools import accumulate
 
 import numpy as np
 from blake3 import blake3
@@ -14,9 +15,8 @@ MEAN, OFFSET, VELOCITY, RATES, THICKNESS = NAMES[7:10], NAMES[10:13], NAMES[19:2
 BY_LINK = [*MEAN, *NAMES[13:19], THICKNESS]  # predicted by the linked record or by the last fresh or following one
 BY_LAST = [*VELOCITY, *NAMES[22:27]]  # predicted by the last record
 CHANGES = dict(zip(('green', 'red', 'blue'), RATES))
-FRESH, CARRIED, FOLLOWING, KEPT = range(4)
 CLASS = [0, 1, 2, 3, 3, 4, 4, 4, 5, 5, 5, 5, 5, 6, 6, 6, 6, 6, 6, 6, 6] + [7] * 483
-LIMIT, U64 = 1 << 46, (1 << 64) - 1
+FRESH, CARRIED, FOLLOWING, KEPT, LIMIT, U64 = *range(4), 1 << 46, (1 << 64) - 1
 
 
 class Broken(ValueError):
@@ -35,7 +35,7 @@ def weight(code):
 def slots(name, codes):
     """(token, part, start) for each of the 4096 remainders."""
     expect(len(codes) <= 252, name, 'at most 252 weights', len(codes))
-    sums = [sum(map(weight, codes[:k])) for k in range(len(codes) + 1)]
+    sums = [0, *accumulate(map(weight, codes))]
     expect(sums[-1] or not codes, name, 'a weight above 0', codes)
     starts = [4096 * below // sums[-1] for below in sums] if codes else []
     return [(k, b - a, a) for k, (a, b) in enumerate(zip(starts, starts[1:])) for _ in range(b - a)]
@@ -65,8 +65,7 @@ def numbers(name, column, count, signed):
             state, place = state << 16 | words[place], place + 1
         value, last, before = token, token, last
         if token >= 8:
-            bits, first = token // 4 - 1, taken
-            taken += bits
+            first, bits, taken = taken, token // 4 - 1, taken + token // 4 - 1
             some = int.from_bytes(extra[first // 8:(taken + 7) // 8], 'little') >> first % 8
             value = (4 + token % 4) << bits | some & ((1 << bits) - 1)
         values.append(value)
@@ -84,24 +83,28 @@ class Container:
         header = self.read(0, 16)
         expect(header == b'ssplat\x1a\n\1' + bytes(7), 'header', 'a container of version 1', header)
         at, length, digest = struct.unpack('<2Q32s', self.read(size - 48, 48))
-        expect(at + length == size - 48 and at >= 16 and 44 <= length < 1 << 26, 'trailer', 'an index that ends where it begins', (at, length))
+        expect(at + length == size - 48 and at >= 16 and 44 <= length <= 1 << 26, 'trailer', 'an index that ends where it begins', (at, length))
         index = self.read(at, length)
         expect(blake3(header + index).digest() == digest, 'index', "the trailer's digest", 'another')
         self.fps, *sides, n = struct.unpack_from('<d9I', index)
         self.source, self.model, self.offset, self.content = (tuple(sides[i:i + 2]) for i in range(0, 8, 2))
         expect(n >= 1 and 44 + 96 * n <= length, 'index', 'room for its intervals', n)
+        inside = all(s and c and o + c <= m <= 1 << 31 for s, c, o, m in zip(self.source, self.content, self.offset, self.model))
+        expect(0 < self.fps < np.inf and inside, 'index', 'a rate, and content inside the input', (self.fps, sides))
         fields = 'at bytes start end index dropped gaussians merges back frames blake3'.split()
         self.intervals = [dict(zip(fields, struct.unpack_from('<2Q2d2Q4I32s', index, 44 + 96 * i))) for i in range(n)]
         expect(44 + 96 * n + 8 * sum(entry['frames'] for entry in self.intervals) == length, 'index', '8 bytes for each time', length)
         place, times, last = 16, 44 + 96 * n, -np.inf
         for i, entry in enumerate(self.intervals):
-            ordered = entry['at'] == place and last <= entry['start'] <= entry['end'] < np.inf
+            ordered = entry['at'] == place and max(last, -1e308) <= entry['start'] <= entry['end'] < np.inf
             chained = entry['back'] in (0, self.intervals[i - 1]['back'] + 1 if i else 0) and entry['back'] < 8
             counted = max(entry['gaussians'], entry['merges']) <= 1 << 24
             expect(ordered and chained and counted, f'index: interval {i}', 'chunks and times in order', entry)
             entry['frames'] = struct.unpack_from(f'<{entry["frames"]}d', index, times)
             place, times, last = place + entry['bytes'], times + 8 * len(entry['frames']), entry['end']
         expect(place == at, 'index', 'chunks up to the index', place)
+        taken = max(110 * sum(entry['gaussians'] for entry in self.intervals), 16 * sum(entry['merges'] for entry in self.intervals))
+        expect(taken <= max(1 << 24, 256 * size), 'intervals', 'less memory for a file of its size', taken)
 
     def read(self, at, length):
         self.file.seek(at)
@@ -133,7 +136,9 @@ class Container:
         expect((kind <= 3).all() and (code <= 5).all(), 'kind and code', 'at most 3 and 5', (kind.max(initial=0), code.max(initial=0)))
         fresh, carried, following, kept = (kind == k for k in range(4))
         old = carried | kept
-        link = iter((256 * numbers('link_row', raw['link_row'], n - fresh.sum(), True) + numbers('link', raw['link'], n - fresh.sum(), True)).tolist())
+        rows, within = (numbers(name, raw[name], n - fresh.sum(), True) for name in ('link_row', 'link'))
+        expect(((rows >= -65536) & (rows <= 65536) & (within >= -128) & (within < 128)).all(), 'link', '-128 to 127', 'another')
+        link = iter((256 * rows + within).tolist())
         identities, births = (iter(numbers(name, raw[name], fresh.sum(), True).tolist()) for name in ('identity', 'birth'))
         frames = iter(numbers('frame', raw['frame'], n - carried.sum(), True).tolist())
         identity, birth, frame, linked = (np.zeros(n, kind) for kind in (np.uint64, np.uint64, np.uint64, int))

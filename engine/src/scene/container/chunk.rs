@@ -40,6 +40,10 @@ const MERGE_INTO: usize = MERGE + 1;
 const MERGE_OTHER: usize = MERGE + 2;
 const COLUMNS: usize = MERGE + MERGES.len();
 
+/// Most rows that a link jumps, and the ranges of links.
+const MOST_ROWS: u64 = 1 << 16;
+const LINK_RANGE: &str = "at most 65536 rows either way, and -128 to 127";
+
 /// State of the predictions, which writer and reader derive from the records before.
 #[derive(Default)]
 struct Predictor {
@@ -282,8 +286,11 @@ fn next(
         record.birth = record.frame.wrapping_sub(columns[BIRTH].next_signed()?.cast_unsigned());
     } else {
         let next = &mut predictor.next[kind as usize];
-        let row = columns[LINK_ROW].next_signed()?.wrapping_mul(ROW);
-        let link = next.wrapping_add_signed(row.wrapping_add(columns[LINK].next_signed()?));
+        let (row, within) = (columns[LINK_ROW].next_signed()?, columns[LINK].next_signed()?);
+        if row.unsigned_abs() > MOST_ROWS || !(-ROW / 2..ROW / 2).contains(&within) {
+            return Err(FormatError::new("columns link_row, link", LINK_RANGE, format!("{row}, {within}")));
+        }
+        let link = next.wrapping_add_signed(row * ROW + within);
         linked = *usize::try_from(link)
             .ok()
             .and_then(|link| among.get(link))

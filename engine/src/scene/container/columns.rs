@@ -109,7 +109,7 @@ impl Values {
             Numbers::Narrow(numbers) => numbers.get(self.at).map(|x| u64::from(*x)),
             Numbers::Wide(numbers) => numbers.get(self.at).copied(),
         };
-        self.at += 1;
+        self.at += usize::from(number.is_some());
         number.ok_or_else(|| FormatError::new(format!("column {}", self.name), "another number", "its end"))
     }
 

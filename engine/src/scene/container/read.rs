@@ -150,7 +150,7 @@ pub fn intervals_from_container(bytes: &[u8]) -> Result<Vec<Interval>, FormatErr
 impl Table {
     /// Checks the Gaussians of each interval, and the memory of all intervals of a file of `size` bytes, against the
     /// limits.
-    fn check(&self, size: u64, limits: &Limits) -> Result<(), FormatError> {
+    pub(super) fn check(&self, size: u64, limits: &Limits) -> Result<(), FormatError> {
         for (i, entry) in self.entries.iter().enumerate() {
             limits.check_count(&format!("interval {i}"), entry.gaussians)?;
         }

@@ -316,6 +316,47 @@ fn what_does_not_belong_in_one_container_is_refused_and_nothing_left() {
 }
 
 #[test]
+fn what_readers_would_refuse_for_its_size_is_not_written() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("scene.ssz");
+    // Equal Gaussians, which take no bits each.
+    let equal = |count: usize| Interval {
+        gaussians: (0..count as u64).map(|identity| Record { identity, ..Record::default() }).collect(),
+        ..intervals(1).remove(0)
+    };
+    written(&path, &[equal(150_000)]);
+    let before = std::fs::read(&path).expect("just written");
+    let mut writer = ContainerWriter::create(&path, 24.0).expect("writable");
+    writer.push(&equal(160_000), &workers(1)).expect("taken");
+    let error = writer.finish().expect_err("too many for its size").to_string();
+    assert!(error.contains("readers would refuse it: intervals: expected at most 152520 Gaussians"), "{error}");
+    assert!(std::fs::read(&path).expect("as before") == before);
+}
+
+#[test]
+fn links_out_of_their_range_are_refused() {
+    let records = intervals(2)[1].gaussians.iter().map(|r| Quantised::of(&r)).collect::<Vec<_>>();
+    let bytes = encode(&[], &records, &[]);
+    let (mut rest, mut columns) = (&bytes[..], Vec::new());
+    while !rest.is_empty() {
+        let stored = u32::from_le_bytes(rest[4..8].try_into().expect("four bytes")) as usize;
+        let (column, after) = rest.split_at(8 + stored);
+        columns.push(column.to_vec());
+        rest = after;
+    }
+    let [row, link] = ["link_row", "link"].map(|name| LINKS.iter().position(|it| *it == name).expect("a column"));
+    let count = u32::from_le_bytes(columns[link][..4].try_into().expect("four bytes"));
+    for (column, value) in [(row, 1 << 54), (row, -65_537), (link, 128), (link, -129), (link, 5 - (1 << 62))] {
+        let mut wrong = super::columns::Column::default();
+        (0..count).for_each(|_| wrong.push_signed(value));
+        let mut hostile = columns.clone();
+        hostile[column] = wrong.stored();
+        let error = decode(&[], &hostile.concat(), records.len(), 0).expect_err("hostile").to_string();
+        assert!(error.contains("at most 65536 rows either way"), "{value}: {error}");
+    }
+}
+
+#[test]
 fn times_of_frames_come_back() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ssz");

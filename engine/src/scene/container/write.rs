@@ -1,13 +1,14 @@
 //! Writing a container, interval by interval.
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::chunk::encode;
-use super::index::{Entry, Table, header};
+use super::index::{Entry, TRAILER, Table, header};
 use super::quantise::Quantised;
 use super::{ALONE_EVERY, MOST};
+use crate::formats::Limits;
 use crate::output::{OutputError, Partial, Written};
 use crate::scene::frames::listed;
 use crate::scene::{PlacementRecord, SceneError};
@@ -124,10 +125,16 @@ impl ContainerWriter {
     /// Writes the index and renames the file to its name; `None`, and no file, when there was no interval.
     ///
     /// # Errors
-    /// Files that cannot be written.
+    /// Files that cannot be written; more Gaussians or merges than [`Limits`] allow a file of its size.
     pub fn finish(mut self) -> Result<Option<Written>, OutputError> {
         let Some(table) = self.table.take() else { return Ok(None) };
         let (at, index) = (self.at, table.to_bytes());
+        let size = at + index.len() as u64 + TRAILER as u64;
+        // A file of equal Gaussians can be so small that readers take it for an attack.
+        table.check(size, &Limits::default()).map_err(|refused| OutputError::Write {
+            path: self.path.clone(),
+            cause: io::Error::other(format!("readers would refuse it: {refused}")),
+        })?;
         let digest = blake3::hash(&[&header()[..], &index].concat());
         self.write(&index)?;
         self.write(&at.to_le_bytes())?;
