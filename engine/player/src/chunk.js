@@ -21,6 +21,8 @@ const SINCE_LAST = Array.from({ length: THICKNESS_AT - VELOCITY_AT }, (_, k) => 
 const SINCE_LINK = [0, 1, 2, 6, 7, 8, 9, 10, 11, THICKNESS_AT];
 /** Columns that are empty if all their differences are 0. */
 const isRare = (column) => column >= FIRST + RATE_AT && column < MERGE;
+/** Columns with numbers for some of the records. */
+const isForSome = (column) => column === LINK_ROW || column === LINK || (column >= IDENTITY && column <= FRAME);
 /** Columns of which only the lengths are read. */
 const isSkipped = (column) => column >= MERGE || (column >= FIRST + OFFSET_AT && column < FIRST + OPACITY_AT);
 /** Integers per world unit of means and of velocities, per octave, and per unit of colours and of their changes. */
@@ -101,8 +103,7 @@ function columnsOf(chunk, counted) {
   });
   const { count } = columns[KIND];
   for (const [column, one] of columns.entries()) {
-    const some = column === LINK_ROW || column === LINK || (column >= IDENTITY && column <= FRAME);
-    if (isSkipped(column) || some || (isRare(column) && !one.count)) continue;
+    if (isSkipped(column) || isForSome(column) || (isRare(column) && !one.count)) continue;
     if (one.count !== (counted ?? count)) throw wrong(`column ${NAMES[column]}`, `${counted ?? count} numbers`, one.count);
   }
   // The text of a page's chunk may end in a byte of zero from its last digits.

@@ -11,6 +11,8 @@ const ALONE_EVERY = 8;
 const VERSION = 1n;
 /** As in engine/src/formats/limits.rs: bytes in memory per byte of the file, bytes allowed for any file, and bytes of a Gaussian and of a merge. */
 const [RATIO, ALLOWED, OF_GAUSSIAN, OF_MERGE] = [256, 2 ** 24, 110, 16];
+/** As in engine/src/scene/container/read.rs: times that ratio for all intervals, which are read one at a time. */
+const TOGETHER = 4;
 
 const viewed = ({ buffer, byteOffset, byteLength }) => new DataView(buffer, byteOffset, byteLength);
 
@@ -84,7 +86,10 @@ export async function readIndex(file, most = MOST_GAUSSIANS) {
   }
   if (frames !== listed) throw wrong("index: times of frames", "8 bytes for each", `${listed} for ${frames / 8}`);
   if (next !== place) throw wrong("index", "chunks up to the index", `their end at ${next} of ${place}`);
-  const room = Math.max(ALLOWED, file.size * RATIO);
+  const least = Math.max(ALLOWED, file.size * RATIO);
+  const large = intervals.findIndex((one) => one.gaussians * OF_GAUSSIAN > least);
+  if (large >= 0) throw wrong(`interval ${large}`, `at most ${Math.floor(least / OF_GAUSSIAN)} Gaussians in a file of ${file.size} bytes`, intervals[large].gaussians);
+  const room = Math.max(ALLOWED, file.size * RATIO * TOGETHER);
   for (const [what, number, each] of [["Gaussians", gaussians, OF_GAUSSIAN], ["merges", merges, OF_MERGE]]) {
     if (number * each > room) throw wrong("intervals", `at most ${Math.floor(room / each)} ${what} in a file of ${file.size} bytes`, number);
   }

@@ -1,15 +1,16 @@
 //! Limits on reading a file.
 //!
 //! A file of N bytes may hold Gaussians that take [`RATIO`]·N bytes in memory, or [`SMALL`] if that is more. The limit
-//! applies to the scene after reading: all intervals of a container or all instances of a mesh together. Readers need a
-//! few times that memory while they unpack. Measured, in bytes per byte of the file:
+//! applies to the scene after reading: an interval of a container, or all instances of a mesh together. All intervals
+//! of a container may take four times as much per byte, since they are read one at a time. Readers need a few times
+//! that memory while they unpack. Measured, in bytes per byte of the file:
 //!
 //! | file | ratio |
 //! |---|---|
 //! | one time of a scene from a video: SPZ, SOG | 5, 8 |
 //! | a million equal Gaussians in a regular plane: SPZ, SOG | 22, 13 |
 //! | 90,000 of them with harmonics of degree 3, all 0: SPZ, SOG | 94, 47 |
-//! | a container of a video of a locked camera, and of a video of one colour | 46, 49 |
+//! | a container of a video of a locked camera, and of a video of one colour | 46, 196 |
 //! | a million equal Gaussians in one place: SPZ, SOG | 4800, 9500 |
 
 use std::fs::File;

@@ -186,10 +186,12 @@ fn container(intervals: usize, count: u32) -> Vec<u8> {
 fn intervals_of_nothing_but_zeros_are_refused() {
     let scratch = Scratch::new();
     // One interval with many records; and many intervals, none of which is large.
-    for (name, intervals, count) in [("one.ssz", 1, 1 << 22), ("many.ssz", 300, 1 << 16)] {
+    for (name, intervals, count, part) in
+        [("one.ssz", 1, 1 << 22, "interval 0"), ("many.ssz", 300, 1 << 16, "intervals")]
+    {
         let file = container(intervals, count);
         assert!(file.len() < 800_000, "{}", file.len());
-        is_refused(&write(scratch.path(name), &file), "intervals: expected at most");
+        is_refused(&write(scratch.path(name), &file), &format!("{part}: expected at most"));
     }
     let few = write(scratch.path("few.ssz"), &container(3, 5000));
     assert_eq!(run(&few, &["inspect"]), None);

@@ -6,8 +6,7 @@
 //! (every eighth) are required. `docs/container.md` describes every byte.
 //!
 //! Identities, births, merges, times and the source's placement are stored exactly, and the rest as precisely as
-//! [`table`] states. The bytes are a function of the intervals and the
-//! frame rate alone.
+//! [`table`] states. The bytes are a function of the intervals and the frame rate alone.
 
 mod chunk;
 mod columns;

@@ -15,6 +15,8 @@ use crate::scene::read::{MERGE, RECORD};
 use crate::scene::{FORMAT, Index, IntervalEntry, SceneError};
 use crate::stream::{DynamicGaussians, Interval, Merge};
 
+/// Times the limit's ratio that all intervals together may take, where they are read one at a time.
+pub(super) const TOGETHER: u64 = 4;
 /// Largest index read, in bytes.
 const MAX_INDEX: u64 = 1 << 26;
 
@@ -56,7 +58,7 @@ impl Container {
             return Err(broken(FormatError::new("index", "the digest that the trailer says", "another")));
         }
         let table = Table::from_bytes(&index, at).map_err(broken)?;
-        table.check(size, limits).map_err(broken)?;
+        table.check(size, limits, TOGETHER).map_err(broken)?;
         let intervals = table.entries.iter().enumerate().map(|(i, e)| IntervalEntry {
             file: i.to_string(),
             start: e.start,
@@ -133,7 +135,7 @@ pub fn intervals_from_container(bytes: &[u8]) -> Result<Vec<Interval>, FormatErr
     let (at, length) =
         locate(size.checked_sub(TRAILER).and_then(|from| bytes.get(from..)).unwrap_or(&[0; 16]), size as u64)?;
     let table = Table::from_bytes(&bytes[at as usize..(at + length) as usize], at)?;
-    table.check(size as u64, &Limits::default())?;
+    table.check(size as u64, &Limits::default(), 1)?;
     let placement = table.placement.placement().ok_or_else(|| FormatError::new("index", "a placement", "none"))?;
     let mut before = Vec::new();
     let mut intervals = Vec::with_capacity(table.entries.len());
@@ -148,16 +150,19 @@ pub fn intervals_from_container(bytes: &[u8]) -> Result<Vec<Interval>, FormatErr
 }
 
 impl Table {
-    /// Checks the Gaussians of each interval, and the memory of all intervals of a file of `size` bytes, against the
-    /// limits.
-    pub(super) fn check(&self, size: u64, limits: &Limits) -> Result<(), FormatError> {
+    /// Checks the Gaussians of each interval, and the memory of the intervals of a file of `size` bytes, against the
+    /// limits: one interval against the limit, all of them against `together` times its ratio.
+    pub(super) fn check(&self, size: u64, limits: &Limits, together: u64) -> Result<(), FormatError> {
+        let all = Limits { ratio: limits.ratio.saturating_mul(together), ..*limits };
         for (i, entry) in self.entries.iter().enumerate() {
-            limits.check_count(&format!("interval {i}"), entry.gaussians)?;
+            let part = format!("interval {i}");
+            limits.check_count(&part, entry.gaussians)?;
+            limits.check_memory(&part, "Gaussians", entry.gaussians as u64, RECORD, size)?;
         }
         let records: u64 = self.entries.iter().map(|entry| entry.gaussians as u64).sum();
         let merges: u64 = self.entries.iter().map(|entry| entry.merges as u64).sum();
-        limits.check_memory("intervals", "Gaussians", records, RECORD, size)?;
-        limits.check_memory("intervals", "merges", merges, MERGE, size)
+        all.check_memory("intervals", "Gaussians", records, RECORD, size)?;
+        all.check_memory("intervals", "merges", merges, MERGE, size)
     }
 }
 

@@ -137,6 +137,18 @@ fn another_version_is_refused() {
     }
 }
 
+/// The columns of a chunk as they are stored.
+fn columns_of(chunk: &[u8]) -> Vec<Vec<u8>> {
+    let (mut rest, mut all) = (chunk, Vec::new());
+    while !rest.is_empty() {
+        let stored = u32::from_le_bytes(rest[4..8].try_into().expect("four bytes")) as usize;
+        let (column, after) = rest.split_at(8 + stored);
+        all.push(column.to_vec());
+        rest = after;
+    }
+    all
+}
+
 #[test]
 fn columns_of_rates_and_thickness_of_another_length_are_refused() {
     let interval = &intervals(2)[1];
@@ -144,17 +156,7 @@ fn columns_of_rates_and_thickness_of_another_length_are_refused() {
     let still: Vec<Quantised> =
         records.iter().map(|r| Quantised::of(&Record { rgb_rate: [0.0; 3], thickness: 1.0, ..r.record() })).collect();
     let (bytes, plain) = (encode(&[], &records, &interval.merges), encode(&[], &still, &interval.merges));
-    let columns = |bytes: &[u8]| {
-        let (mut rest, mut all) = (bytes, Vec::new());
-        while !rest.is_empty() {
-            let stored = u32::from_le_bytes(rest[4..8].try_into().expect("four bytes")) as usize;
-            let (column, after) = rest.split_at(8 + stored);
-            all.push(column.to_vec());
-            rest = after;
-        }
-        all
-    };
-    let (full, empty) = (columns(&bytes), columns(&plain));
+    let (full, empty) = (columns_of(&bytes), columns_of(&plain));
     let (many, merges) = (records.len(), interval.merges.len());
     assert_eq!(
         (full.len(), empty[24].len(), decode(&[], &plain, many, merges).map(|(found, _)| found)),
@@ -280,7 +282,7 @@ fn a_hostile_index_is_refused_though_its_digest_is_right() {
         (entry + 16, &(-1.0_f64).to_le_bytes(), "interval 1: times"),
         (entry + 48, &u32::MAX.to_le_bytes(), "interval 1: counts"),
         (entry + 48, &79_u32.to_le_bytes(), "column kind: expected at most 79 numbers"),
-        (entry + 48, &(1_u32 << 24).to_le_bytes(), "intervals: expected at most"),
+        (entry + 48, &(1_u32 << 24).to_le_bytes(), "interval 1: expected at most"),
         (entry + 52, &(1_u32 << 24).to_le_bytes(), "merges in a file"),
         (entry + 56, &2_u32.to_le_bytes(), "chunks back"),
         (entry + 56, &0_u32.to_le_bytes(), "column link"),
@@ -329,21 +331,14 @@ fn what_readers_would_refuse_for_its_size_is_not_written() {
     let mut writer = ContainerWriter::create(&path, 24.0).expect("writable");
     writer.push(&equal(160_000), &workers(1)).expect("taken");
     let error = writer.finish().expect_err("too many for its size").to_string();
-    assert!(error.contains("readers would refuse it: intervals: expected at most 152520 Gaussians"), "{error}");
+    assert!(error.contains("readers would refuse it: interval 0: expected at most 152520 Gaussians"), "{error}");
     assert!(std::fs::read(&path).expect("as before") == before);
 }
 
 #[test]
 fn links_out_of_their_range_are_refused() {
     let records = intervals(2)[1].gaussians.iter().map(|r| Quantised::of(&r)).collect::<Vec<_>>();
-    let bytes = encode(&[], &records, &[]);
-    let (mut rest, mut columns) = (&bytes[..], Vec::new());
-    while !rest.is_empty() {
-        let stored = u32::from_le_bytes(rest[4..8].try_into().expect("four bytes")) as usize;
-        let (column, after) = rest.split_at(8 + stored);
-        columns.push(column.to_vec());
-        rest = after;
-    }
+    let columns = columns_of(&encode(&[], &records, &[]));
     let [row, link] = ["link_row", "link"].map(|name| LINKS.iter().position(|it| *it == name).expect("a column"));
     let count = u32::from_le_bytes(columns[link][..4].try_into().expect("four bytes"));
     for (column, value) in [(row, 1 << 54), (row, -65_537), (link, 128), (link, -129), (link, 5 - (1 << 62))] {

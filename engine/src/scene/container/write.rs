@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use super::chunk::encode;
 use super::index::{Entry, TRAILER, Table, header};
 use super::quantise::Quantised;
+use super::read::TOGETHER;
 use super::{ALONE_EVERY, MOST};
 use crate::formats::Limits;
 use crate::output::{OutputError, Partial, Written};
@@ -131,7 +132,7 @@ impl ContainerWriter {
         let (at, index) = (self.at, table.to_bytes());
         let size = at + index.len() as u64 + TRAILER as u64;
         // A file of equal Gaussians can be so small that readers take it for an attack.
-        table.check(size, &Limits::default()).map_err(|refused| OutputError::Write {
+        table.check(size, &Limits::default(), TOGETHER).map_err(|refused| OutputError::Write {
             path: self.path.clone(),
             cause: io::Error::other(format!("readers would refuse it: {refused}")),
         })?;
