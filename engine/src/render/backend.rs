@@ -80,6 +80,15 @@ impl Rasteriser {
         }
     }
 
+    /// Makes the next image be drawn as a whole.
+    pub(crate) fn forget(&mut self) {
+        match self {
+            Rasteriser::Cpu(rasteriser) => rasteriser.forget(),
+            #[cfg(feature = "wgpu")]
+            Rasteriser::Wgpu(_) => {}
+        }
+    }
+
     pub(crate) fn into_image(self) -> Image {
         match self {
             Rasteriser::Cpu(rasteriser) => rasteriser.into_image(),

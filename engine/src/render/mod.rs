@@ -30,6 +30,9 @@ use streamsplat_kernels::raster::{self, Gaussians};
 use crate::camera::Camera;
 use crate::stream::{Interval, Snapshot, Workers};
 
+/// An image is compared with the one before where at least one record in so many is the same at all times.
+const LEAST_REST: usize = 4;
+
 impl Interval {
     /// Draws the scene at `time` seconds, seen by `camera`, with `workers`.
     ///
@@ -99,10 +102,12 @@ impl Renderer {
         }
         let size = options.size.resolve(&interval.placement);
         let request = options.seen_by(camera, size)?;
-        let mut seen = match camera {
-            Camera::Canonical => Snapshot::of(interval, time, &self.workers)?,
-            Camera::Posed { .. } => Snapshot::square(interval, time, &self.workers)?,
-        };
+        let square = matches!(camera, Camera::Posed { .. });
+        let (mut seen, rest) = Snapshot::for_image(interval, time, square, &self.workers)?;
+        if rest * LEAST_REST < seen.mean.len() {
+            // Nearly every tile would be drawn anyway, so looking for those that did not change does not pay.
+            self.rasteriser.forget();
+        }
         let view = View::new(camera, &interval.placement, size);
         self.left_out = 0;
         let rasteriser = &mut self.rasteriser;

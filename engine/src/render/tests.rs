@@ -269,3 +269,33 @@ fn thickness_shows_from_the_side_and_not_from_the_front() {
     let side = Camera::orthographic(Pose { position: [0.0; 3], rotation });
     assert!(draw(&network, &side) != draw(&thin, &side));
 }
+
+#[test]
+fn what_rests_within_an_interval_is_drawn_once() {
+    // The right half rests, the left half moves, comes and goes: other Gaussians can be seen at each time.
+    let mut halves = interval([24, 40]);
+    halves.gaussians = halves
+        .gaussians
+        .iter()
+        .map(|record| match record.mean[0] > 0.0 {
+            true => Record { velocity: [0.0; 3], gamma: [0.0; 2], ..record },
+            false => Record { gamma: [40.0, 0.1], ..record },
+        })
+        .collect();
+    let options = RenderOptions { size: Size::Exact { width: 640, height: 384 }, ..RenderOptions::default() };
+    for (interval, rests) in [(&halves, true), (&interval([24, 40]), false)] {
+        let mut renderer = Renderer::new(&workers());
+        for time in [2.1, 2.6, 3.9] {
+            let image = renderer.render(interval, time, &Camera::Canonical, &options).expect("drawn").clone();
+            assert_eq!(
+                image,
+                interval.render(time, &Camera::Canonical, &options, &workers()).expect("drawn"),
+                "{time}"
+            );
+            let work = renderer.work();
+            let all = time == 2.1 || !rests;
+            assert_eq!(work.tiles_drawn == work.tiles, all, "{time}: {} of {} tiles", work.tiles_drawn, work.tiles);
+            assert!(all || 3 * work.tiles_drawn < 2 * work.tiles, "{} of {} tiles", work.tiles_drawn, work.tiles);
+        }
+    }
+}

@@ -3,12 +3,13 @@
 use std::f64::consts::PI;
 
 use rayon::prelude::*;
+use streamsplat_kernels::Level;
 use streamsplat_kernels::raster::Projection;
 
 use super::RenderError;
 use crate::camera::{Camera, Lens, Pose};
 use crate::fit::Placement;
-use crate::stream::{Interval, Snapshot, Workers};
+use crate::stream::{DynamicGaussians, Interval, Snapshot, Workers};
 
 /// Gaussians per task.
 const CHUNK: usize = 4096;
@@ -21,12 +22,33 @@ impl Snapshot {
     /// # Errors
     /// Times outside the interval, and intervals whose arrays differ in length.
     pub fn of(interval: &Interval, time: f64, workers: &Workers) -> Result<Self, RenderError> {
+        Self::made(Self::new, interval, time, workers)
+    }
+
+    /// The Gaussians of an interval at `time` seconds for a rasteriser ([`Snapshot::in_place`]), in `square` units or
+    /// those of the model's input; and the number of those that are the same at all times.
+    pub(super) fn for_image(
+        interval: &Interval,
+        time: f64,
+        square: bool,
+        workers: &Workers,
+    ) -> Result<(Self, usize), RenderError> {
+        let (snapshot, rest) = Self::made(Self::in_place, interval, time, workers)?;
+        Ok((if square { snapshot.in_square_units(interval) } else { snapshot }, rest))
+    }
+
+    fn made<T: Send>(
+        make: impl Fn(Level, &DynamicGaussians, f32) -> T + Sync,
+        interval: &Interval,
+        time: f64,
+        workers: &Workers,
+    ) -> Result<T, RenderError> {
         let (start, end) = (interval.start, interval.end);
         let t = interval.relative(time).ok_or(RenderError::Time { time, start, end })?;
         if let Some((array, found)) = interval.gaussians.uneven() {
             return Err(RenderError::Records { array, expected: interval.gaussians.len(), found });
         }
-        Ok(workers.install(|| Self::new(workers.level(), &interval.gaussians, t)))
+        Ok(workers.install(|| make(workers.level(), &interval.gaussians, t)))
     }
 
     /// Returns the Gaussians of an interval that can be seen at `time` seconds, in square units: for posed cameras and
@@ -40,14 +62,17 @@ impl Snapshot {
     /// # Errors
     /// As [`Snapshot::of`].
     pub fn square(interval: &Interval, time: f64, workers: &Workers) -> Result<Self, RenderError> {
-        let mut snapshot = Self::of(interval, time, workers)?;
+        Ok(Self::of(interval, time, workers)?.in_square_units(interval))
+    }
+
+    fn in_square_units(mut self, interval: &Interval) -> Self {
         let aspect = interval.placement.aspect();
         let times = |x: &mut f32| *x = (f64::from(*x) * aspect) as f32;
-        snapshot.mean.iter_mut().chain(&mut snapshot.scale).for_each(|[x, _, z]| {
+        self.mean.iter_mut().chain(&mut self.scale).for_each(|[x, _, z]| {
             times(x);
             times(z);
         });
-        Ok(snapshot)
+        self
     }
 }
 

@@ -196,6 +196,12 @@ impl Record {
         self.opacity * motion::opacity_factor(self.gamma, self.reference.tau(t)) * self.handover.factor(t)
     }
 
+    /// Returns true if its position, colour and opacity are the same at all times.
+    pub(super) fn rests(&self) -> bool {
+        let fades = self.gamma[0] != 0.0 || self.handover != Handover::None;
+        self.velocity == [0.0; 3] && self.rgb_rate == [0.0; 3] && !fades
+    }
+
     /// Returns true if every number is finite, as [`motion::opacity_factor`] requires, the colour is finite throughout
     /// the interval, and no γ, scale, thickness or opacity is negative.
     pub fn is_sound(&self) -> bool {

@@ -1,5 +1,7 @@
 //! The Gaussians of an interval at one time.
 
+use std::ops::Range;
+
 use streamsplat_kernels::Level;
 use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
 use streamsplat_kernels::raster::ALPHA_MIN;
@@ -39,31 +41,15 @@ impl Snapshot {
     /// When the arrays differ in length ([`DynamicGaussians::uneven`]).
     pub fn new(level: Level, gaussians: &DynamicGaussians, t: f32) -> Self {
         let seen = map_indexed(gaussians.len().div_ceil(CHUNK), |chunk| seen(level, gaussians, t, chunk));
-        let count = seen.iter().map(|seen| seen.index.len()).sum();
-        let mut out = Self {
-            index: vec![0; count],
-            mean: vec![[0.0; 3]; count],
-            scale: vec![[0.0; 3]; count],
-            opacity: vec![0.0; count],
-            rgb: vec![[0.0; 3]; count],
-            dropped: seen.iter().map(|seen| seen.dropped).sum(),
-        };
-        let (mut index, mut mean, mut scale) = (&mut out.index[..], &mut out.mean[..], &mut out.scale[..]);
-        let (mut opacity, mut rgb) = (&mut out.opacity[..], &mut out.rgb[..]);
+        let mut out = Self::with_len(seen.iter().map(|seen| seen.index.len()).sum());
+        out.dropped = seen.iter().map(|seen| seen.dropped).sum();
         let mut parts = Vec::with_capacity(seen.len());
+        let mut rest = out.as_part();
         for seen in &seen {
-            let len = seen.index.len();
-            parts.push((
-                seen,
-                index.split_off_mut(..len).unwrap_or_default(),
-                mean.split_off_mut(..len).unwrap_or_default(),
-                scale.split_off_mut(..len).unwrap_or_default(),
-                opacity.split_off_mut(..len).unwrap_or_default(),
-                rgb.split_off_mut(..len).unwrap_or_default(),
-            ));
+            parts.push((seen, rest.split_off(seen.index.len())));
         }
         for_each_chunk(&mut parts, 1, |_, part| {
-            for (seen, index, mean, scale, opacity, rgb) in part {
+            for (seen, Part { index, mean, scale, opacity, rgb }) in part {
                 index.copy_from_slice(&seen.index);
                 mean.copy_from_slice(&seen.mean);
                 opacity.copy_from_slice(&seen.opacity);
@@ -75,6 +61,74 @@ impl Snapshot {
             }
         });
         out
+    }
+
+    /// [`Snapshot::new`] with an entry for every record: those that cannot be seen are all zeros. So a record has one
+    /// place at all times of its interval, and a rasteriser finds what did not change. Also returns the number of
+    /// records that can be seen and are the same at all times.
+    ///
+    /// # Panics
+    /// As [`Snapshot::new`].
+    pub(crate) fn in_place(level: Level, gaussians: &DynamicGaussians, t: f32) -> (Self, usize) {
+        let mut out = Self::with_len(gaussians.len());
+        let mut parts = Vec::with_capacity(gaussians.len().div_ceil(CHUNK));
+        let mut rest = out.as_part();
+        for start in (0..gaussians.len()).step_by(CHUNK) {
+            parts.push((start..gaussians.len().min(start + CHUNK), rest.split_off(CHUNK), [0, 0]));
+        }
+        for_each_chunk(&mut parts, 1, |_, part| {
+            for (range, Part { index, mean, scale, opacity, rgb }, [dropped, rest]) in part {
+                *dropped = each_seen(level, gaussians, t, range.clone(), |i, at, seen| {
+                    let (to, record) = (i - range.start, drawn(gaussians, i));
+                    *rest += u64::from(record.rests());
+                    (mean[to], opacity[to]) = (at, seen);
+                    (scale[to], rgb[to]) = (record.deviations(), record.rgb_at(t));
+                });
+                index.iter_mut().zip(range.clone()).for_each(|(index, i)| *index = i as u32);
+            }
+        });
+        let [dropped, rest] = [0, 1].map(|kind| parts.iter().map(|(_, _, counts)| counts[kind]).sum());
+        (Self { dropped, ..out }, rest as usize)
+    }
+
+    /// `len` Gaussians of zeros.
+    fn with_len(len: usize) -> Self {
+        Self {
+            index: vec![0; len],
+            mean: vec![[0.0; 3]; len],
+            scale: vec![[0.0; 3]; len],
+            opacity: vec![0.0; len],
+            rgb: vec![[0.0; 3]; len],
+            dropped: 0,
+        }
+    }
+
+    fn as_part(&mut self) -> Part<'_> {
+        let Self { index, mean, scale, opacity, rgb, dropped: _ } = self;
+        Part { index, mean, scale, opacity, rgb }
+    }
+}
+
+/// Consecutive Gaussians of a snapshot: members as of [`Snapshot`].
+struct Part<'a> {
+    index: &'a mut [u32],
+    mean: &'a mut [[f32; 3]],
+    scale: &'a mut [[f32; 3]],
+    opacity: &'a mut [f32],
+    rgb: &'a mut [[f32; 3]],
+}
+
+impl<'a> Part<'a> {
+    /// Removes the first `len` Gaussians, or all if there are fewer, and returns them.
+    fn split_off(&mut self, len: usize) -> Part<'a> {
+        let len = len.min(self.index.len());
+        Part {
+            index: self.index.split_off_mut(..len).unwrap_or_default(),
+            mean: self.mean.split_off_mut(..len).unwrap_or_default(),
+            scale: self.scale.split_off_mut(..len).unwrap_or_default(),
+            opacity: self.opacity.split_off_mut(..len).unwrap_or_default(),
+            rgb: self.rgb.split_off_mut(..len).unwrap_or_default(),
+        }
     }
 }
 
@@ -89,24 +143,41 @@ struct Seen {
 /// Visible Gaussians of one chunk, in order.
 fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Seen {
     let start = chunk * CHUNK;
-    let end = gaussians.len().min(start + CHUNK);
-    let mut opacity = vec![0.0; end - start];
-    let mut from = start;
-    for run in gaussians.reference[start..end].chunk_by(|a, b| a == b) {
+    let range = start..gaussians.len().min(start + CHUNK);
+    let (index, mean) = (Vec::with_capacity(range.len()), Vec::with_capacity(range.len()));
+    let mut seen = Seen { index, mean, opacity: Vec::with_capacity(range.len()), dropped: 0 };
+    seen.dropped = each_seen(level, gaussians, t, range, |i, mean, opacity| {
+        seen.index.push(i as u32);
+        seen.mean.push(mean);
+        seen.opacity.push(opacity);
+    });
+    seen
+}
+
+/// Calls `visit` with the index, the centre and the opacity of each record of the range that can be seen. Returns the
+/// number of records with a number that is not finite.
+#[inline(always)]
+fn each_seen(
+    level: Level,
+    gaussians: &DynamicGaussians,
+    t: f32,
+    range: Range<usize>,
+    mut visit: impl FnMut(usize, [f32; 3], f32),
+) -> u64 {
+    let mut opacity = vec![0.0; range.len()];
+    let mut from = range.start;
+    for run in gaussians.reference[range.clone()].chunk_by(|a, b| a == b) {
         let part = from..from + run.len();
-        let out = &mut opacity[part.start - start..part.end - start];
+        let out = &mut opacity[part.start - range.start..part.end - range.start];
         let tau = run[0].tau(t);
         motion::opacity_at(level, &gaussians.opacity[part.clone()], &gaussians.gamma[part.clone()], tau, out);
         from = part.end;
     }
-    let count = end - start;
-    let (index, mean) = (Vec::with_capacity(count), Vec::with_capacity(count));
-    let mut seen = Seen { index, mean, opacity: Vec::with_capacity(count), dropped: 0 };
-    let sound = all_sound(gaussians, start..end);
-    for (i, opacity) in (start..end).zip(opacity) {
+    let (sound, mut dropped) = (all_sound(gaussians, range.clone()), 0);
+    for (i, opacity) in range.zip(opacity) {
         let record = drawn(gaussians, i);
         if !sound && !record.is_sound() {
-            seen.dropped += 1;
+            dropped += 1;
             continue;
         }
         let opacity = opacity * record.handover.factor(t);
@@ -114,11 +185,9 @@ fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> See
             continue;
         }
         let Some(mean) = to_scene(record.position_at(t)) else { continue };
-        seen.index.push(i as u32);
-        seen.mean.push(mean);
-        seen.opacity.push(opacity);
+        visit(i, mean, opacity);
     }
-    seen
+    dropped
 }
 
 /// Record `i` with the fields that are drawn; the others have their defaults.
@@ -142,7 +211,7 @@ fn drawn(gaussians: &DynamicGaussians, i: usize) -> Record {
 
 /// Returns true if all these records are [sound](Record::is_sound) and their numbers are below 2¹²⁶, so that no sum of
 /// two of them is infinite. A chunk for which this is false is tested record by record.
-fn all_sound(gaussians: &DynamicGaussians, chunk: std::ops::Range<usize>) -> bool {
+fn all_sound(gaussians: &DynamicGaussians, chunk: Range<usize>) -> bool {
     const SIGN: u32 = 1 << 31;
     /// 2¹²⁶
     const LARGE: u32 = 253 << 23;
