@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-use streamsplat_model::{Embedding, FrameInput, Sampling, StaticGaussians};
+use streamsplat_model::{Embedding, StaticGaussians};
 
 use super::between::FlowView;
 use super::canonical::Layers;
@@ -12,9 +12,10 @@ use super::detail;
 use super::gaussians::reached;
 use super::keep::{Change, Keeps, Kept, Past, with_kept};
 use super::lift::{Added, Alignment, DepthMap, Memory, lift, normalise_most};
-use super::tiles::{Part, Tile, Tiles};
+use super::pass::Pass;
+use super::tiles::{Part, Tiles};
 use super::work::Stage;
-use super::{Behind, DepthRange, EngineError, FlowEffort, Frame, SamplingMode, Settings, Work};
+use super::{Behind, DepthRange, EngineError, FlowEffort, Frame, Settings, Work};
 use crate::fit::{self, Placement};
 use crate::parallax::Filled;
 
@@ -32,7 +33,7 @@ pub(super) struct KeyView {
     /// `[3, H, W]`
     pub(super) rgb: Vec<f32>,
     /// `[H, W]`
-    depth: Option<Vec<f32>>,
+    pub(super) depth: Option<Vec<f32>>,
     /// `None` for tiles that were not computed, because all their Gaussians are kept.
     pub(super) tiles: Vec<Option<TileView>>,
     /// The Gaussians of all tiles, in the frame's world; lifted to the frame's depth and with colours that fit the
@@ -102,7 +103,7 @@ pub(super) struct Features {
 }
 
 impl Features {
-    fn none() -> Arc<Features> {
+    pub(super) fn none() -> Arc<Features> {
         Arc::new(Features { embedding: Embedding { h: Vec::new() }, tokens: Vec::new(), condition: None })
     }
 }
@@ -135,32 +136,19 @@ impl Context<'_> {
         (KeyView::of(rgb, depth, self.tiles.resolution), lost)
     }
 
-    /// Puts key frame `index` through its own part of the network, except for tiles whose cells are all kept. It is not
-    /// [finished](Self::finish) yet.
+    /// Puts key frame `index` through its own part of the network, all tiles at the same time, except for those whose
+    /// cells are all kept. It is not [finished](Self::finish) yet.
     pub(super) fn reconstruct(
         &mut self,
         view: &mut KeyView,
         kept: Option<&Keeps>,
         index: u64,
     ) -> Result<(), EngineError> {
-        let lifts = self.tiles.ignores_depth();
         let wanted: Option<Vec<bool>> =
             kept.map(|kept| kept.of_own().iter().map(|change| *change == Change::All).collect());
-        let mut tiles = Vec::with_capacity(self.tiles.tiles.len());
-        for at in 0..self.tiles.tiles.len() {
-            let depth = view.depth.as_deref().filter(|_| !lifts);
-            let part = self.part(at, wanted.as_deref());
-            if part != Part::Nothing {
-                tiles.push(Some(self.tile(at, part, &view.rgb, depth, index)?));
-                continue;
-            }
-            for stage in [Stage::Encoder, Stage::Upsampler, Stage::Condition, Stage::Heads] {
-                self.work.count(stage, 0, 1);
-            }
-            self.work.count(Stage::Patches, 0, self.tiles.computed(at, &Part::Nothing)[1]);
-            tiles.push(None);
-        }
-        view.tiles = tiles;
+        let depth = view.depth.as_deref().filter(|_| !self.tiles.ignores_depth());
+        let pass = Pass { settings: self.settings, before: self.before, rgb: &view.rgb, depth, index };
+        view.tiles = pass.tiles(self.tiles, wanted.as_deref(), self.work)?;
         Ok(())
     }
 
@@ -288,98 +276,6 @@ impl Context<'_> {
         self.work.count(Stage::Colours, u64::from(taken), u64::from(steps - taken));
         Arc::make_mut(&mut view.gaussians).rgb = rgb;
     }
-
-    /// What of tile `at` is computed to have the Gaussians of the `wanted` cells (`None`: all).
-    fn part(&self, at: usize, wanted: Option<&[bool]>) -> Part {
-        let part = self.tiles.part(at, wanted);
-        // The decoder reads all tokens; drawn positions depend on the number of Gaussians before them.
-        let whole = self.settings.deforms() || self.draws(at) || !self.tiles.tiles[at].session.computes_parts();
-        if whole && part != Part::Nothing { Part::Everything } else { part }
-    }
-
-    /// Returns true if the positions of tile `at` are drawn.
-    fn draws(&self, at: usize) -> bool {
-        self.settings.sampling != SamplingMode::Mean && self.tiles.tiles[at].session.draws_positions()
-    }
-
-    /// Reconstructs `part` of tile `at` of the frame.
-    fn tile(
-        &mut self,
-        at: usize,
-        part: Part,
-        rgb: &[f32],
-        depth: Option<&[f32]>,
-        index: u64,
-    ) -> Result<TileView, EngineError> {
-        let resolution = self.tiles.resolution;
-        let same = |before: &&KeyView| {
-            let tile = &self.tiles.tiles[at];
-            tile.sees_the_same(resolution, &before.rgb, rgb)
-                && match (before.depth.as_deref().filter(|_| !self.tiles.ignores_depth()), depth) {
-                    (None, None) => true,
-                    (Some(a), Some(b)) => tile.sees_the_same(resolution, a, b),
-                    _ => false,
-                }
-        };
-        let before = self.before.filter(same).and_then(|view| view.tiles[at].clone());
-        let before = before.filter(|before| before.part.contains(&part));
-        let draws = self.draws(at);
-        let sampling = match self.settings.sampling {
-            SamplingMode::Mean => Sampling::Mean,
-            // Each tile draws from its own random stream.
-            SamplingMode::Sample => Sampling::Sample { seed: self.settings.seed ^ (at as u64) << 40, frame: index },
-        };
-        let work = &mut *self.work;
-        if let Some(before) = before {
-            work.count(Stage::Encoder, 0, 1);
-            work.count(Stage::Upsampler, 0, 1);
-            work.count(Stage::Condition, 0, 1);
-            work.count(Stage::Patches, 0, self.tiles.computed(at, &Part::Nothing)[1]);
-            let tile = &mut self.tiles.tiles[at];
-            if !draws {
-                work.count(Stage::Heads, 0, 1);
-                return Ok(before);
-            }
-            let gaussians = gaussians(tile, work, &before.features.tokens, sampling, index)?;
-            return Ok(TileView { gaussians: Arc::new(gaussians), ..before });
-        }
-        let (rgb, depth) = {
-            let tile = &self.tiles.tiles[at];
-            (self.tiles.cut(tile, rgb), depth.map(|depth| self.tiles.cut(tile, depth)))
-        };
-        let input = FrameInput { rgb: &rgb, depth: depth.as_deref() };
-        let [done, avoided] = self.tiles.computed(at, &part);
-        work.count(Stage::Patches, done, avoided);
-        let tile = &mut self.tiles.tiles[at];
-        if let Part::Patches(patches) = &part {
-            let session = &mut tile.session;
-            let embedding = work.measure(Stage::Encoder, || session.embed_part(&input, patches))?;
-            let tokens = work.measure(Stage::Upsampler, || session.upsample_part(&embedding, patches))?;
-            work.count(Stage::Condition, 0, 1);
-            let gaussians = work.measure(Stage::Heads, || session.gaussians_part(&tokens, patches))?;
-            let gaussians = Arc::new(even(gaussians, index)?);
-            return Ok(TileView { features: Features::none(), gaussians, part });
-        }
-        let embedding = work.measure(Stage::Encoder, || tile.session.embed(&input))?;
-        let tokens = work.measure(Stage::Upsampler, || tile.session.upsample(&embedding))?;
-        // Only the decoder reads it.
-        let condition = match self.settings.deforms() && tile.session.reads_condition() {
-            true => work.measure(Stage::Condition, || tile.session.condition(&input))?,
-            false => {
-                work.count(Stage::Condition, 0, 1);
-                None
-            }
-        };
-        let gaussians = gaussians(tile, work, &tokens, sampling, index)?;
-        // The next pair reads them; where positions are drawn, so does a frame that repeats this one.
-        let pairs = self.settings.deforms();
-        let features = Arc::new(Features {
-            embedding: if pairs { embedding } else { Embedding { h: Vec::new() } },
-            tokens: if pairs || draws { tokens } else { Vec::new() },
-            condition,
-        });
-        Ok(TileView { features, gaussians: Arc::new(gaussians), part })
-    }
 }
 
 impl KeyView {
@@ -434,25 +330,6 @@ impl KeyView {
                 (Some(a), Some(b)) => same(a, b),
                 _ => false,
             }
-    }
-}
-
-/// The static head on a tile's tokens.
-fn gaussians(
-    tile: &mut Tile,
-    work: &mut Work,
-    tokens: &[f32],
-    sampling: Sampling,
-    index: u64,
-) -> Result<StaticGaussians, EngineError> {
-    even(work.measure(Stage::Heads, || tile.session.gaussians(tokens, &sampling))?, index)
-}
-
-/// Checks that a reconstructor's arrays have one length.
-fn even(gaussians: StaticGaussians, index: u64) -> Result<StaticGaussians, EngineError> {
-    match gaussians.uneven() {
-        Some((what, found)) => Err(EngineError::Records { index, what, expected: gaussians.len(), found }),
-        None => Ok(gaussians),
     }
 }
 

@@ -29,6 +29,7 @@ mod matching;
 mod motion;
 mod network;
 mod pair;
+mod pass;
 mod quality;
 mod reconstructor;
 mod resolution;

@@ -57,7 +57,8 @@ pub trait Reconstructor: Send + Sync {
 
 /// One stream of frames through a [`Reconstructor`], in stages that a stream calls in the order of its frames.
 ///
-/// Work is done on the calling thread and its rayon pool.
+/// A stream whose frames are composed of several tiles ([`Reconstructor::tiling`]) has a session for each of them, and
+/// calls these from several threads at the same time. Work is done on the calling thread and its rayon pool.
 pub trait Session: Send + Sync {
     /// The encoder: a frame's embedding.
     ///

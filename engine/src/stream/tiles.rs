@@ -94,7 +94,7 @@ pub(super) struct Tiles {
     /// Rows and columns of pixels of a frame.
     pub(super) resolution: [usize; 2],
     pub(super) tiles: Vec<Tile>,
-    ignores_depth: bool,
+    pub(super) ignores_depth: bool,
 }
 
 /// One axis of a tile, in patches: the span that it takes in, and the part of it that it keeps.
@@ -160,41 +160,6 @@ impl Tiles {
         self.ignores_depth
     }
 
-    /// The patches of tile `at` that contain Gaussians which it keeps and which are `wanted` (`None`: all), indexed by
-    /// the frame's cells.
-    pub(super) fn part(&self, at: usize, wanted: Option<&[bool]>) -> Part {
-        let tile = &self.tiles[at];
-        let wanted = |cell: usize| wanted.is_none_or(|wanted| wanted[cell]);
-        let Some(grid) = tile.grid else { return Part::Everything };
-        let mut marks = vec![false; grid.count];
-        match &tile.places {
-            None => (0..grid.count * grid.cells.pow(2))
-                .filter(|cell| wanted(*cell))
-                .for_each(|cell| marks[grid.patch(cell)] = true),
-            Some(places) => places
-                .iter()
-                .filter(|[_, to]| wanted(*to as usize))
-                .for_each(|[own, _]| marks[grid.patch(*own as usize)] = true),
-        }
-        let patches: Vec<u32> = (0..grid.count as u32).filter(|patch| marks[*patch as usize]).collect();
-        match patches.len() {
-            0 => Part::Nothing,
-            count if count == grid.count => Part::Everything,
-            _ => Part::Patches(patches),
-        }
-    }
-
-    /// The numbers of patches of tile `at` that are computed and left out with `part`; zeros where the model has none.
-    pub(super) fn computed(&self, at: usize, part: &Part) -> [u64; 2] {
-        let all = self.tiles[at].grid.map_or(0, |grid| grid.count as u64);
-        let done = match part {
-            Part::Nothing => 0,
-            Part::Patches(patches) => patches.len() as u64,
-            Part::Everything => all,
-        };
-        [done, all - done]
-    }
-
     /// Composes the frame's Gaussians from those of its tiles; cells of tiles without Gaussians have
     /// the defaults.
     pub(super) fn gaussians(&self, of_tiles: &[Option<Arc<StaticGaussians>>]) -> Arc<StaticGaussians> {
@@ -249,17 +214,51 @@ impl Tiles {
             |axis: usize| (2 * tile.origin[axis] + tile.size[axis]) as f64 / self.resolution[axis] as f64 - 1.0;
         [middle(1) as f32, -middle(0) as f32]
     }
-
-    /// The pixels of `tile` in planes of a frame, `[C, H, W]` to `[C, h, w]`.
-    pub(super) fn cut(&self, tile: &Tile, planes: &[f32]) -> Vec<f32> {
-        if tile.places.is_none() {
-            return planes.to_vec();
-        }
-        cut(planes, self.resolution, &[0, 1].map(|axis| tile.origin[axis]..tile.origin[axis] + tile.size[axis]))
-    }
 }
 
 impl Tile {
+    /// The patches that contain Gaussians which it keeps and which are `wanted` (`None`: all), indexed by
+    /// the frame's cells.
+    pub(super) fn part(&self, wanted: Option<&[bool]>) -> Part {
+        let wanted = |cell: usize| wanted.is_none_or(|wanted| wanted[cell]);
+        let Some(grid) = self.grid else { return Part::Everything };
+        let mut marks = vec![false; grid.count];
+        match &self.places {
+            None => (0..grid.count * grid.cells.pow(2))
+                .filter(|cell| wanted(*cell))
+                .for_each(|cell| marks[grid.patch(cell)] = true),
+            Some(places) => places
+                .iter()
+                .filter(|[_, to]| wanted(*to as usize))
+                .for_each(|[own, _]| marks[grid.patch(*own as usize)] = true),
+        }
+        let patches: Vec<u32> = (0..grid.count as u32).filter(|patch| marks[*patch as usize]).collect();
+        match patches.len() {
+            0 => Part::Nothing,
+            count if count == grid.count => Part::Everything,
+            _ => Part::Patches(patches),
+        }
+    }
+
+    /// The numbers of patches that are computed and left out with `part`; zeros where the model has none.
+    pub(super) fn computed(&self, part: &Part) -> [u64; 2] {
+        let all = self.grid.map_or(0, |grid| grid.count as u64);
+        let done = match part {
+            Part::Nothing => 0,
+            Part::Patches(patches) => patches.len() as u64,
+            Part::Everything => all,
+        };
+        [done, all - done]
+    }
+
+    /// The tile's pixels in planes of a frame of `resolution`, `[C, H, W]` to `[C, h, w]`.
+    pub(super) fn cut(&self, resolution: [usize; 2], planes: &[f32]) -> Vec<f32> {
+        if self.places.is_none() {
+            return planes.to_vec();
+        }
+        cut(planes, resolution, &[0, 1].map(|axis| self.origin[axis]..self.origin[axis] + self.size[axis]))
+    }
+
     /// Returns true if the tile's pixels are the same in both frames, whose planes are `[C, H, W]`.
     pub(super) fn sees_the_same(&self, resolution: [usize; 2], a: &[f32], b: &[f32]) -> bool {
         let ([top, left], [rows, columns]) = (self.origin, self.size);
@@ -316,7 +315,7 @@ mod tests {
             Part::Patches(patches) => patches.len(),
             Part::Everything => panic!("every tile has a neighbour"),
         };
-        let count = |wanted: Option<&[bool]>| (0..9).map(|at| of(&tiles.part(at, wanted))).collect::<Vec<_>>();
+        let count = |wanted: Option<&[bool]>| (0..9).map(|at| of(&tiles.tiles[at].part(wanted))).collect::<Vec<_>>();
         assert_eq!(count(None).iter().sum::<usize>(), 36 * 64);
         let mut wanted = vec![false; rows * columns];
         assert_eq!(count(Some(&wanted)), [0; 9]);
@@ -324,8 +323,8 @@ mod tests {
         (wanted[rows * columns - 1], wanted[(rows - 4) * columns + columns - 4], wanted[3 * columns + 4]) =
             (true, true, true);
         assert_eq!(count(Some(&wanted)), [1, 0, 0, 0, 0, 0, 0, 0, 1]);
-        assert_eq!(tiles.part(0, Some(&wanted)), Part::Patches(vec![1]));
-        let Part::Patches(last) = tiles.part(8, Some(&wanted)) else { panic!() };
+        assert_eq!(tiles.tiles[0].part(Some(&wanted)), Part::Patches(vec![1]));
+        let Part::Patches(last) = tiles.tiles[8].part(Some(&wanted)) else { panic!() };
         assert_eq!(last[0] as usize, tiles.tiles[8].grid.unwrap().count - 1);
         assert!(Part::Patches(vec![1, 5]).contains(&Part::Patches(vec![5])));
         assert!(!Part::Patches(vec![1, 5]).contains(&Part::Patches(vec![5, 6])));

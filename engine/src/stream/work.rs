@@ -161,6 +161,15 @@ impl Work {
         stage.avoided += avoided;
     }
 
+    /// Adds the counts and times of another account of the stream's stages.
+    pub(crate) fn add(&mut self, other: &Work) {
+        for (stage, other) in self.stages.iter_mut().zip(&other.stages) {
+            stage.done += other.done;
+            stage.avoided += other.avoided;
+            stage.time += other.time;
+        }
+    }
+
     /// Adds the time of work that ran at the same time as other stages.
     pub(crate) fn spent(&mut self, stage: Stage, time: Duration) {
         self.stages[stage as usize].time += time;
