@@ -22,7 +22,7 @@ use super::tiles::Tiles;
 use super::work::Stage;
 use super::{
     EngineError, Fade, Frame, Fusion, Interval, MotionFrom, Reconstructor, ResumePoint, Reuse, SamplingMode, Settings,
-    StaticRegions, Work, Workers,
+    Work, Workers,
 };
 use crate::fit::Placement;
 use crate::parallax::{self, Evidence, Filled, Found, Window};
@@ -379,8 +379,8 @@ impl Engine {
     fn camera(&self, view: &KeyView, seen: &[Seen]) -> Option<(Camera, Lattice)> {
         let Self { settings, state, .. } = self;
         let before = &state.as_ref()?.view;
-        let wanted = settings.still() == StaticRegions::Keep
-            && settings.motion() != MotionFrom::Network
+        let close = settings.still().close()?;
+        let wanted = settings.motion() != MotionFrom::Network
             && !settings.deforms()
             && settings.fusion == Fusion::Persistent
             && settings.sampling == SamplingMode::Mean
@@ -392,7 +392,7 @@ impl Engine {
         let blocks = Blocks::of(view.resolution())?;
         let frames: Vec<(f32, &[f32])> =
             seen.iter().map(|seen| (seen.t, &seen.rgb[..])).chain([(1.0, &view.rgb[..])]).collect();
-        Some((Camera::over(blocks, &before.rgb, before.past.as_ref(), &frames), cells))
+        Some((Camera::over(blocks, &before.rgb, before.past.as_ref(), &frames, close), cells))
     }
 
     /// Flow through the interval; none where motion is the network's.

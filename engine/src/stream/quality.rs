@@ -77,6 +77,7 @@ impl Quality {
                 refine: 3,
                 refine_every: 3,
                 detail: 0,
+                still: StaticRegions::Loose,
                 ..balanced
             },
             Quality::Balanced => balanced,

@@ -2,7 +2,7 @@
 
 use tracing::debug_span;
 
-use super::follow::{Follow, Step, Walk, check, finite};
+use super::follow::{Step, check, finite};
 use crate::Level;
 use crate::parallel::for_each_chunk;
 use crate::simd::{LANES, Operation, Simd, dispatch};
@@ -19,6 +19,8 @@ const MARGIN: f32 = 0.003;
 /// Neighbours whose velocities compete, in pixels (columns, rows).
 const NEIGHBOURS: [[f32; 2]; 8] =
     [[8.0, 0.0], [-8.0, 0.0], [0.0, 8.0], [0.0, -8.0], [6.0, 6.0], [6.0, -6.0], [-6.0, 6.0], [-6.0, -6.0]];
+/// Side in pixels of a square whose points are taken for each other's neighbours.
+const SQUARE: usize = 4;
 /// Changes of a velocity that are tried in each round, times its step.
 const CROSS: [[f32; 2]; 4] = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
 /// Rounds of these.
@@ -46,8 +48,9 @@ pub struct Lumas<'a> {
 /// repeated; the five of a point have its weights. Sums run over k, then q (the point, right, left, below, above), a
 /// fused step each, in binary32. Where no velocity is known (NaN), it is 0.
 ///
-/// A velocity whose misfit is at least 0.04 competes with those that the flow has at eight places around (8 pixels to
-/// the right, left, below and above, and 6 pixels along both axes), and with 0. From the best one, three rounds try a
+/// A velocity whose misfit is at least 0.04 competes with those of the points at eight places around (8 pixels to the
+/// right, left, below and above, and 6 pixels along both axes), and with 0. The point at a place is the first of all
+/// starts in the same square of 4×4 pixels that has a velocity. From the best one, three rounds try a
 /// step of one pixel per unit of time right, left, down and up; a round without a better one halves the step. The first
 /// of equals wins. The winner replaces the velocity if its misfit is less than 0.9 times the former one's less 0.003.
 ///
@@ -71,11 +74,61 @@ pub fn align(level: Level, lumas: Lumas<'_>, starts: &[[f32; 2]], steps: &[Step<
     let part = |step: &Step<'_>| 1.0 - step.distance / last.distance;
     let sum = 5.0 * steps[..steps.len() - 1].iter().fold(0.0, |sum, step| sum + part(step));
     let weights: Vec<f32> = steps[..steps.len() - 1].iter().map(|step| part(step) / sum).collect();
+    let around = Around::new(size, starts, velocities);
     let _span = debug_span!("flow", step = "align", points = starts.len(), steps = steps.len()).entered();
     for_each_chunk(velocities, TASK, |index, velocities| {
         let starts = &starts[index * TASK..][..velocities.len()];
-        dispatch(level, Aligned { lumas, weights: &weights, starts, steps, velocities });
+        dispatch(level, Aligned { lumas, weights: &weights, starts, steps, around: &around, velocities });
     });
+}
+
+/// Velocities of the points of a picture, one for each square of [`SQUARE`] pixels a side.
+struct Around {
+    columns: usize,
+    /// Row by row; NaN where no point has one.
+    velocities: Vec<[f32; 2]>,
+}
+
+impl Around {
+    fn new([height, width]: [usize; 2], starts: &[[f32; 2]], velocities: &[[f32; 2]]) -> Self {
+        let columns = width.div_ceil(SQUARE);
+        let mut around = Self { columns, velocities: vec![[f32::NAN; 2]; columns * height.div_ceil(SQUARE)] };
+        for (start, velocity) in starts.iter().zip(velocities) {
+            if velocity.iter().all(|x| x.is_finite())
+                && let Some(place) = around.place(*start)
+                && around.velocities[place][0].is_nan()
+            {
+                around.velocities[place] = *velocity;
+            }
+        }
+        around
+    }
+
+    /// The square around a pixel of the picture; those around places up to half a pixel outside are on its edge.
+    #[inline(always)]
+    fn place(&self, [x, y]: [f32; 2]) -> Option<usize> {
+        let (x, y) = ((x + 0.5) * (1.0 / SQUARE as f32), (y + 0.5) * (1.0 / SQUARE as f32));
+        // False for NaN.
+        if !(x >= 0.0 && y >= 0.0 && x < self.columns as f32) {
+            return None;
+        }
+        let place = (y as usize).checked_mul(self.columns)? + x as usize;
+        (place < self.velocities.len()).then_some(place)
+    }
+
+    /// The velocities at places; NaN where there is none.
+    #[inline(always)]
+    fn at<S: Simd>(&self, s: S, [x, y]: [S::F32; 2]) -> [S::F32; 2] {
+        let (x, y) = (s.to_array(x), s.to_array(y));
+        let mut found = [[f32::NAN; LANES]; 2];
+        for lane in 0..LANES {
+            if let Some(place) = self.place([x[lane], y[lane]]) {
+                let [u, v] = self.velocities[place];
+                (found[0][lane], found[1][lane]) = (u, v);
+            }
+        }
+        found.map(|lanes| s.from_array(lanes))
+    }
 }
 
 struct Aligned<'a> {
@@ -83,6 +136,7 @@ struct Aligned<'a> {
     weights: &'a [f32],
     starts: &'a [[f32; 2]],
     steps: &'a [Step<'a>],
+    around: &'a Around,
     velocities: &'a mut [[f32; 2]],
 }
 
@@ -171,7 +225,7 @@ impl Aligned<'_> {
         let mut best = Best { misfit: former, velocity: own };
         for [x, y] in NEIGHBOURS {
             let neighbour = [s.add(start[0], s.splat(x)), s.add(start[1], s.splat(y))];
-            self.compete(s, start, bases, &mut best, Follow.lanes(s, neighbour, self.steps));
+            self.compete(s, start, bases, &mut best, self.around.at(s, neighbour));
         }
         self.compete(s, start, bases, &mut best, [s.splat(0.0); 2]);
         let mut length = s.splat(1.0);

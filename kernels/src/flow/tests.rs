@@ -493,7 +493,14 @@ fn points_follow_the_flow_as_in_the_reference_to_the_bit() {
 }
 
 /// [`align`] as documented, point by point.
-fn aligned([x, y]: [f32; 2], lumas: Lumas<'_>, steps: &[Step<'_>], velocity: [f32; 2]) -> [f32; 2] {
+///
+/// `all`: starts and velocities of all points.
+fn aligned(
+    ([x, y], velocity): ([f32; 2], [f32; 2]),
+    lumas: Lumas<'_>,
+    steps: &[Step<'_>],
+    all: &[([f32; 2], [f32; 2])],
+) -> [f32; 2] {
     let Some((last, earlier)) = steps.split_last().filter(|(_, earlier)| !earlier.is_empty()) else { return velocity };
     if !(x.is_finite() && y.is_finite()) {
         return velocity;
@@ -517,6 +524,13 @@ fn aligned([x, y]: [f32; 2], lumas: Lumas<'_>, steps: &[Step<'_>], velocity: [f3
         return velocity;
     }
     let mut best = (former, own);
+    // The column and row of a square of 4×4 pixels of the picture.
+    let [height, width] = last.there.size.map(|side| side.div_ceil(4));
+    let square = |[x, y]: [f32; 2]| {
+        let [column, row] = [x, y].map(|at| ((at + 0.5) / 4.0).floor());
+        let inside = (0.0..width as f32).contains(&column) && (0.0..height as f32).contains(&row);
+        inside.then_some([column, row])
+    };
     let compete = |best: &mut (f32, [f32; 2]), velocity: [f32; 2]| {
         let better = velocity.iter().all(|x| x.is_finite()) && misfit(velocity) < best.0;
         if better {
@@ -527,7 +541,13 @@ fn aligned([x, y]: [f32; 2], lumas: Lumas<'_>, steps: &[Step<'_>], velocity: [f3
     let directions: [[f32; 2]; 4] = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]];
     let corners = [[6.0, 6.0], [6.0, -6.0], [-6.0, 6.0], [-6.0, -6.0]];
     for [dx, dy] in directions.map(|direction| direction.map(|x| 8.0 * x)).into_iter().chain(corners) {
-        compete(&mut best, followed([x + dx, y + dy], steps));
+        let place = square([x + dx, y + dy]);
+        let there = all.iter().find(|(start, velocity)| {
+            place.is_some() && square(*start) == place && velocity.iter().all(|x| x.is_finite())
+        });
+        if let Some((_, velocity)) = there {
+            compete(&mut best, *velocity);
+        }
     }
     compete(&mut best, [0.0; 2]);
     let mut length = 1.0_f32;
@@ -574,8 +594,8 @@ fn velocities_are_aligned_as_in_the_reference_to_the_bit() {
                 _ => [f32::NAN; 2],
             });
             let before: Vec<[f32; 2]> = before.collect();
-            let expected: Vec<[f32; 2]> =
-                starts.iter().zip(&before).map(|(&start, &own)| aligned(start, lumas, steps, own)).collect();
+            let all: Vec<([f32; 2], [f32; 2])> = starts.iter().copied().zip(before.iter().copied()).collect();
+            let expected: Vec<[f32; 2]> = all.iter().map(|&point| aligned(point, lumas, steps, &all)).collect();
             let found = on_every_level_and_thread_count(2 * starts.len(), |level, found| {
                 let found = found.as_chunks_mut::<2>().0;
                 found.copy_from_slice(&before);

@@ -74,20 +74,24 @@ impl Blocks {
         let area = (rows.len() * columns.len()) as f64;
         for channel in 0..3 {
             for y in rows.clone().step_by(CELL) {
-                for x in columns.clone().step_by(CELL) {
-                    let (mut sum, mut square) = (0.0f32, 0.0f32);
-                    for row in y..y + CELL {
-                        let start = (channel * height + row) * width + x;
-                        for (a, b) in frame[start..start + CELL].iter().zip(&mean[start..start + CELL]) {
-                            let d = a - b;
-                            sum += d;
-                            square += d * d;
-                        }
+                // Down the columns first, so that they are lanes of a vector; then four columns to a cell.
+                let (mut sums, mut squares) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
+                for row in y..y + CELL {
+                    let line = (channel * height + row) * width;
+                    let [a, b] = [frame, mean].map(|of| &of[line + columns.start..line + columns.end]);
+                    for (((a, b), sum), square) in a.iter().zip(b).zip(&mut sums).zip(&mut squares) {
+                        let d = a - b;
+                        *sum += d;
+                        *square += d * d;
                     }
-                    out.square += f64::from(square);
-                    let cell = f64::from(sum) / (CELL * CELL) as f64;
+                }
+                let whole = |[a, b, c, d]: [f32; CELL]| f64::from((a + b) + (c + d));
+                for (sums, squares) in sums.as_chunks().0.iter().zip(squares.as_chunks().0) {
+                    let sum = whole(*sums);
+                    let cell = sum / (CELL * CELL) as f64;
+                    out.square += whole(*squares);
                     out.cells += cell * cell;
-                    out.mean[channel] += f64::from(sum);
+                    out.mean[channel] += sum;
                 }
             }
         }

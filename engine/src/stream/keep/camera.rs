@@ -15,11 +15,9 @@ pub(super) const MOST_CHANGE: f64 = 0.5 / 255.0;
 pub(super) const WHITE: f64 = 0.35;
 /// The greatest difference that counts as noise, in standard deviations of it.
 const MARGIN: f64 = 1.35;
-/// The greatest difference without its mean that is close enough where noise is that of a codec, 42.1 dB, and that of
-/// its means over cells.
-pub(super) const CLOSE: f64 = 2.0 / 255.0;
-const CLOSE_CELLS: f64 = 0.8 * CLOSE;
-/// The greatest mean of such a difference, per channel.
+/// The greatest difference of means over cells that is close enough, over that of pixels.
+const CLOSE_CELLS: f64 = 0.8;
+/// The greatest mean of a difference that is close enough, per channel.
 pub(super) const CLOSE_MEAN: f64 = 1.0 / 255.0;
 /// Rounding of 8-bit frames.
 const ROUNDING: f64 = 0.4 / 255.0;
@@ -48,8 +46,15 @@ pub(in crate::stream) enum Camera {
 impl Camera {
     /// The camera from a key frame with this mean and past to the last of `frames`.
     ///
-    /// `frames`: times in the interval and pictures `[3, H, W]`; the last of them is the key frame at its end.
-    pub(in crate::stream) fn over(blocks: Blocks, mean: &[f32], past: Option<&Past>, frames: &[(f32, &[f32])]) -> Self {
+    /// `frames`: times in the interval and pictures `[3, H, W]`; the last of them is the key frame at its end. `close`:
+    /// the greatest difference without its mean that is close enough where noise is that of a codec.
+    pub(in crate::stream) fn over(
+        blocks: Blocks,
+        mean: &[f32],
+        past: Option<&Past>,
+        frames: &[(f32, &[f32])],
+        close: f64,
+    ) -> Self {
         let none;
         let past = match past {
             Some(past) => past,
@@ -60,7 +65,7 @@ impl Camera {
         };
         let differences: Vec<Vec<Difference>> =
             map_indexed(blocks.count(), |at| frames.iter().map(|(_, rgb)| blocks.difference(at, rgb, mean)).collect());
-        let changes = changes(past, frames, &differences);
+        let changes = changes(past, frames, &differences, close);
         // Flat blocks look the same wherever the camera is.
         let textured: Vec<bool> = map_indexed(blocks.count(), |at| blocks.deviation(at, mean) > TEXTURE);
         let flat = !textured.contains(&true);
@@ -81,7 +86,7 @@ impl Camera {
 }
 
 /// What happens to each block; blocks that rest are [`Change::None`], those that drift [`Change::Colours`].
-fn changes(past: &Past, frames: &[(f32, &[f32])], differences: &[Vec<Difference>]) -> Vec<Change> {
+fn changes(past: &Past, frames: &[(f32, &[f32])], differences: &[Vec<Difference>], close: f64) -> Vec<Change> {
     let wider = |at: usize| 1.0 + 1.0 / f64::from(past.count[at]);
     let mut levels: Vec<[f64; 2]> = differences
         .iter()
@@ -102,9 +107,10 @@ fn changes(past: &Past, frames: &[(f32, &[f32])], differences: &[Vec<Difference>
         let structure = 0.5 * rms;
         let (rms2, structure2) = (rms * rms, structure * structure);
         let noise = |d: &Difference, offset: f64| d.square - offset <= rms2 && d.cells - offset <= structure2;
+        let (close2, cells2) = (close * close, (CLOSE_CELLS * close) * (CLOSE_CELLS * close));
         let close = |d: &Difference| {
             let [square, cells] = [d.square, d.cells].map(|square| square - d.offset());
-            codec && square <= CLOSE * CLOSE && cells <= CLOSE_CELLS * CLOSE_CELLS
+            codec && square <= close2 && cells <= cells2
         };
         let most = if codec { structure.max(CLOSE_MEAN) } else { structure };
         let level = |d: &Difference| d.mean.iter().all(|mean| mean.abs() <= most);

@@ -6,17 +6,17 @@
 //!
 //! ```text
 //! rests    where in every frame   rms(d) ≤ R and rms of d's means over 4×4 pixels ≤ S,
-//!                                 or rms(d − μ) ≤ CLOSE, that of its means ≤ CLOSE_CELLS, and |μ| small
+//!                                 or rms(d − μ) ≤ C, that of its means ≤ 0.8·C, and |μ| small
 //! drifts   where in every frame   the same of d − μ, |μ| ≤ D, and |μ − t·μ(key frame)| ≤ S
 //! changes  otherwise
 //!
 //! σ = the 40th percentile of rms(d)/√(1 + 1/m) over blocks and frames
-//! R = MARGIN·σ·√(1 + 1/m) + ROUNDING     S = R/2
+//! R = MARGIN·σ·√(1 + 1/m) + ROUNDING     S = R/2     C = 2/255, or 3/255 (`StaticRegions::Loose`)
 //! ```
 //!
 //! The second line counts where the noise is that of a codec: where it is not white, or less than the rounding of
 //! 8-bit frames. A codec updates blocks at different times, so that the differences of quiet blocks are neither small
-//! nor white. There a block that stays within [`CLOSE`] of its mean is kept, and |μ| and |μ − t·μ(key frame)| may be
+//! nor white. There a block that stays within C of its mean is kept, and |μ| and |μ − t·μ(key frame)| may be
 //! [`CLOSE_MEAN`].
 //!
 //! σ estimates the camera's noise, at most [`MOST_NOISE`] where it is white and [`MOST_CHANGE`] where it is not. Means
@@ -36,9 +36,9 @@
 //!
 //! # Order of operations
 //!
-//! Sums are binary32 over 16 pixels, row-major, and binary64 above, block by block: a function of the pictures alone.
+//! Sums over 4×4 pixels are binary32: each column from top to bottom, then the columns as (a + b) + (c + d). Sums of
+//! those are binary64, block by block: a function of the pictures alone.
 //!
-//! [`CLOSE`]: camera::CLOSE
 //! [`CLOSE_MEAN`]: camera::CLOSE_MEAN
 //! [`MOST_NOISE`]: camera::MOST_NOISE
 //! [`MOST_CHANGE`]: camera::MOST_CHANGE

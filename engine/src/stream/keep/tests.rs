@@ -1,6 +1,7 @@
 use streamsplat_model::StaticGaussians;
 
 use super::*;
+use crate::stream::StaticRegions;
 
 const SIZE: [usize; 2] = [64, 80];
 
@@ -22,10 +23,14 @@ fn blocks() -> Blocks {
 }
 
 fn camera(mean: &[f32], past: Option<&Past>, frames: &[Vec<f32>]) -> Camera {
+    camera_within(2.0 / 255.0, mean, past, frames)
+}
+
+fn camera_within(close: f64, mean: &[f32], past: Option<&Past>, frames: &[Vec<f32>]) -> Camera {
     let count = frames.len() as f32;
     let frames: Vec<(f32, &[f32])> =
         frames.iter().enumerate().map(|(i, frame)| ((i + 1) as f32 / count, &frame[..])).collect();
-    Camera::over(blocks(), mean, past, &frames)
+    Camera::over(blocks(), mean, past, &frames, close)
 }
 
 /// What is kept, if anything; kept blocks of `frames` are replaced by their mean.
@@ -94,26 +99,41 @@ fn light_that_fades_is_followed_and_light_that_flickers_is_not() {
     assert!(keep(&mean, None, &mut flickering).is_none());
 }
 
+/// Every cell of 4×4 pixels is brighter or darker in each frame, as after coarse quantisation.
+fn coded(mean: &[f32], frame: usize, strength: f32) -> Vec<f32> {
+    let sign = |i: usize| {
+        let (x, y) = (i % SIZE[1] / CELL, i / SIZE[1] / CELL);
+        if (x + y + (frame >> (x / 4 % 2))).is_multiple_of(2) { 1.0 } else { -1.0 }
+    };
+    mean.iter().enumerate().map(|(i, value)| value + sign(i) * strength / 255.0).collect()
+}
+
 #[test]
 fn blocks_that_a_codec_updates_are_kept_while_they_are_close_to_their_mean() {
     let mean = picture(0.0, 0);
-    // Every cell of 4×4 pixels is brighter or darker in each frame, as after coarse quantisation.
-    let coded = |frame: usize, strength: f32| -> Vec<f32> {
-        let sign = |i: usize| {
-            let (x, y) = (i % SIZE[1] / CELL, i / SIZE[1] / CELL);
-            if (x + y + (frame >> (x / 4 % 2))).is_multiple_of(2) { 1.0 } else { -1.0 }
-        };
-        mean.iter().enumerate().map(|(i, value)| value + sign(i) * strength / 255.0).collect()
-    };
-    let mut frames: Vec<Vec<f32>> = (0..4).map(|frame| coded(frame, 1.5)).collect();
+    let mut frames: Vec<Vec<f32>> = (0..4).map(|frame| coded(&mean, frame, 1.5)).collect();
     let came = frames.clone();
     let kept = keep(&mean, None, &mut frames).expect("all of it");
     assert_eq!(kept.share(), [20, 20]);
     for (shown, came) in frames.iter().zip(&came) {
         assert!(error(shown, came) < 2.0 / 255.0, "{}", 255.0 * error(shown, came));
     }
-    let mut frames: Vec<Vec<f32>> = (0..4).map(|frame| coded(frame, 2.5)).collect();
+    let mut frames: Vec<Vec<f32>> = (0..4).map(|frame| coded(&mean, frame, 2.5)).collect();
     assert!(keep(&mean, None, &mut frames).is_none());
+}
+
+#[test]
+fn loose_regions_are_kept_while_they_are_within_three_levels_of_their_mean() {
+    let mean = picture(0.0, 0);
+    for (strength, kept) in [(1.5, [true, true]), (2.2, [false, true]), (2.5, [false, false])] {
+        let frames: Vec<Vec<f32>> = (0..4).map(|frame| coded(&mean, frame, strength)).collect();
+        for (still, expected) in [StaticRegions::Keep, StaticRegions::Loose].into_iter().zip(kept) {
+            let camera = camera_within(still.close().expect("some are kept"), &mean, None, &frames);
+            let found = matches!(camera, Camera::Static(Some(_)));
+            assert_eq!(found, expected, "{strength}, {still}");
+        }
+    }
+    assert_eq!(StaticRegions::Off.close(), None);
 }
 
 #[test]
