@@ -1,6 +1,6 @@
-"""Time of `run` in several builds: builds.py CLIPS PROGRAM [PROGRAM…] [--rounds 5] [--quality balanced] [--only NAME…] [--json FILE]
+"""Time of `run` in several builds: builds.py CLIPS PROGRAM [PROGRAM…] [--rounds 5] [--quality balanced] [--only NAME…] [--y4m] [--json FILE]
 
-CLIPS is a folder of clips, each a folder of images. Clip by clip and round by round, each program runs `run CLIP --threads 2 --emit rgb --out FILE.y4m` in
+CLIPS is a folder of clips, each a folder of images; with `--y4m` the timed runs read them as YUV4MPEG2 of 4:2:0, which FFmpeg makes first. Clip by clip and round by round, each program runs `run CLIP --threads 2 --emit rgb --out FILE.y4m` in
 turn, in the opposite order in every second round. For each clip and program it prints the medians of wall clock, processor time and peak memory, the median
 over rounds of the first program's wall clock divided by this one's, the PSNR of its images (mean over frames, at the source's own size, from one more run
 to PNG files), and the digest of the video. It ends with the median of these ratios over clips. A program whose video differs from round to round is an error.
@@ -36,6 +36,15 @@ def run(program, clip, video, quality):
     return {'wall': wall, 'cpu': used.ru_utime + used.ru_stime, 'memory': used.ru_maxrss / 1024}, digest
 
 
+def as_y4m(clip, folder):
+    """The clip as a file in this folder."""
+    suffix = min(path.suffix for path in clip.iterdir() if path.suffix in ('.png', '.jpg'))
+    video = Path(folder, f'{clip.name}.y4m')
+    words = ['ffmpeg', '-v', 'error', '-framerate', '30', '-pattern_type', 'glob', '-i', f'{clip}/*{suffix}', '-pix_fmt', 'yuv420p', video]
+    subprocess.run(words, check=True)
+    return video
+
+
 def psnr(program, clip, quality):
     """Mean over frames of the PSNR of the images that `program` draws."""
     truth = frames(clip)
@@ -53,8 +62,10 @@ def main():
     a.add_argument('--rounds', type=int, default=5)
     a.add_argument('--quality', default='balanced')
     a.add_argument('--only', nargs='+', help='names of clips, without those that are not named')
+    a.add_argument('--y4m', action='store_true', help='time the clips as YUV4MPEG2')
     a.add_argument('--json', type=Path)
     options = a.parse_args()
+    made = tempfile.TemporaryDirectory()
     clips = sorted(path for path in options.clips.iterdir() if path.is_dir() and (not options.only or path.name in options.only))
     if options.only and len(clips) != len(set(options.only)):
         sys.exit(f'--only: expected names of clips in {options.clips}, found {" ".join(options.only)}')
@@ -62,11 +73,12 @@ def main():
         sys.exit(f'{options.clips}: expected folders of images, found none')
     rows, first = [], options.programs[0]
     for clip in clips:
+        source = as_y4m(clip, made.name) if options.y4m else clip
         taken, digests = {program: [] for program in options.programs}, {}
         for number in range(options.rounds):
             for program in options.programs[:: -1 if number % 2 else 1]:
                 with tempfile.TemporaryDirectory() as folder:
-                    found, digest = run(program, clip, Path(folder, 'out.y4m'), options.quality)
+                    found, digest = run(program, source, Path(folder, 'out.y4m'), options.quality)
                 taken[program].append(found)
                 if digests.setdefault(program, digest) != digest:
                     sys.exit(f'{program}, {clip.name}: expected the video {digests[program]}, found {digest}')
