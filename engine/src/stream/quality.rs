@@ -85,7 +85,7 @@ impl Quality {
                 gap: Gap::Every(2),
                 refine: 64,
                 refine_to: Decibels::MOST,
-                detail: 160,
+                detail: 250,
                 precision: Precision::F32,
                 still: StaticRegions::Off,
                 ..balanced
