@@ -3,7 +3,7 @@
 CLIPS is a folder of clips, each a folder of images; with `--y4m` the timed runs read them as YUV4MPEG2 of 4:2:0, which FFmpeg makes first. Clip by clip and round by round, each program runs `run CLIP --threads 2 --emit rgb --out FILE.y4m` in
 turn, in the opposite order in every second round. For each clip and program it prints the medians of wall clock, processor time and peak memory, the median
 over rounds of the first program's wall clock divided by this one's, the PSNR of its images (mean over frames, at the source's own size, from one more run
-to PNG files), and the digest of the video. It ends with the median of these ratios over clips. A program whose video differs from round to round is an error.
+of the images to PNG files), and the digest of the video. It ends with the median of these ratios over clips. A program whose video differs from round to round is an error.
 """
 
 import argparse

@@ -30,7 +30,8 @@ use streamsplat_kernels::raster::{self, Gaussians};
 use crate::camera::Camera;
 use crate::stream::{Interval, Snapshot, Workers};
 
-/// An image is compared with the one before where at least one record in so many is the same at all times.
+/// An image is compared with the one before where at least one record in so many can be seen and is the same at all
+/// times of the interval.
 const LEAST_REST: usize = 4;
 
 impl Interval {
@@ -54,8 +55,8 @@ impl Interval {
     }
 }
 
-/// Draws one image after another; on the CPU only the parts that changed. The images are those of [`Interval::render`],
-/// to the last bit on the CPU and nearly so on a graphics card ([`Backend`]).
+/// Draws one image after another; on the CPU only the parts that changed, where a quarter of the records rest. The images
+/// are those of [`Interval::render`], to the last bit on the CPU and nearly so on a graphics card ([`Backend`]).
 pub struct Renderer {
     workers: Workers,
     rasteriser: Rasteriser,

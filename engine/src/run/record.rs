@@ -280,7 +280,7 @@ pub struct WorkRecord {
 pub struct Timing {
     /// Seconds in all.
     pub total: f64,
-    /// Seconds per stage.
+    /// Seconds per stage, summed over tiles of a frame, which run at the same time.
     pub seconds: BTreeMap<String, f64>,
     /// Peak resident memory in bytes.
     pub peak_resident_bytes: Option<u64>,

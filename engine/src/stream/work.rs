@@ -16,7 +16,7 @@ pub struct StageWork {
     pub avoided: u64,
     /// Unit of the counts.
     pub unit: &'static str,
-    /// Time spent in the stage; zero for a part of another stage.
+    /// Time spent in the stage, summed over tiles, which run at the same time; zero for a part of another stage.
     pub time: Duration,
 }
 

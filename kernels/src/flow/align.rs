@@ -49,10 +49,10 @@ pub struct Lumas<'a> {
 /// fused step each, in binary32. Where no velocity is known (NaN), it is 0.
 ///
 /// A velocity whose misfit is at least 0.04 competes with those of the points at eight places around (8 pixels to the
-/// right, left, below and above, and 6 pixels along both axes), and with 0. The point at a place is the first of all
-/// starts in the same square of 4×4 pixels that has a velocity. From the best one, three rounds try a
-/// step of one pixel per unit of time right, left, down and up; a round without a better one halves the step. The first
-/// of equals wins. The winner replaces the velocity if its misfit is less than 0.9 times the former one's less 0.003.
+/// right, left, below and above, and 6 pixels along both axes), and with 0. The point at a place (x, y) is the first
+/// of all starts with a velocity in the same square ⌊(x + ½)/4⌋, ⌊(y + ½)/4⌋ of the picture; a place outside has none.
+/// From the best one, three rounds try a step of one pixel per unit of time right, left, down and up; a round without a
+/// better one halves the step. The first of equals wins. The winner replaces the velocity if its misfit is less than 0.9 times the former one's less 0.003.
 ///
 /// Nothing changes where there are fewer than two steps, and for points that are not finite.
 ///
@@ -74,8 +74,8 @@ pub fn align(level: Level, lumas: Lumas<'_>, starts: &[[f32; 2]], steps: &[Step<
     let part = |step: &Step<'_>| 1.0 - step.distance / last.distance;
     let sum = 5.0 * steps[..steps.len() - 1].iter().fold(0.0, |sum, step| sum + part(step));
     let weights: Vec<f32> = steps[..steps.len() - 1].iter().map(|step| part(step) / sum).collect();
-    let around = Around::new(size, starts, velocities);
     let _span = debug_span!("flow", step = "align", points = starts.len(), steps = steps.len()).entered();
+    let around = Around::new(size, starts, velocities);
     for_each_chunk(velocities, TASK, |index, velocities| {
         let starts = &starts[index * TASK..][..velocities.len()];
         dispatch(level, Aligned { lumas, weights: &weights, starts, steps, around: &around, velocities });
@@ -104,7 +104,7 @@ impl Around {
         around
     }
 
-    /// The square around a pixel of the picture; those around places up to half a pixel outside are on its edge.
+    /// The square of a place; `None` outside the picture's squares, the last of which may reach beyond its edge.
     #[inline(always)]
     fn place(&self, [x, y]: [f32; 2]) -> Option<usize> {
         let (x, y) = ((x + 0.5) * (1.0 / SQUARE as f32), (y + 0.5) * (1.0 / SQUARE as f32));
