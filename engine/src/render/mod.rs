@@ -55,8 +55,8 @@ impl Interval {
     }
 }
 
-/// Draws one image after another; on the CPU only the parts that changed, where a quarter of the records rest. The images
-/// are those of [`Interval::render`], to the last bit on the CPU and nearly so on a graphics card ([`Backend`]).
+/// Draws one image after another; on the CPU only the parts that changed, where a quarter of the records rest. The
+/// images are those of [`Interval::render`], to the last bit on the CPU and nearly so on a graphics card ([`Backend`]).
 pub struct Renderer {
     workers: Workers,
     rasteriser: Rasteriser,

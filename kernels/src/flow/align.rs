@@ -50,9 +50,10 @@ pub struct Lumas<'a> {
 ///
 /// A velocity whose misfit is at least 0.04 competes with those of the points at eight places around (8 pixels to the
 /// right, left, below and above, and 6 pixels along both axes), and with 0. The point at a place (x, y) is the first
-/// of all starts with a velocity in the same square ⌊(x + ½)/4⌋, ⌊(y + ½)/4⌋ of the picture; a place outside has none.
+/// of all starts with a velocity in the same square ⌊(x + ½)/4⌋, ⌊(y + ½)/4⌋ of the picture; outside there is none.
 /// From the best one, three rounds try a step of one pixel per unit of time right, left, down and up; a round without a
-/// better one halves the step. The first of equals wins. The winner replaces the velocity if its misfit is less than 0.9 times the former one's less 0.003.
+/// better one halves the step. The first of equals wins. The winner replaces the velocity if its misfit is less than
+/// 0.9 times the former one's less 0.003.
 ///
 /// Nothing changes where there are fewer than two steps, and for points that are not finite.
 ///

@@ -1,9 +1,11 @@
 //! Tests that refused calls leave a stream unchanged.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use streamsplat::stream::{
-    DepthRange, Fade, Fusion, ModelSource, Motion, MotionFrom, Reconstructor, Session, StaticRegions, Tiling,
+    DepthRange, Fade, Fusion, ModelSource, Motion, MotionFrom, Reconstructor, Resolution, Session, StaticRegions,
+    Tiling,
 };
 use streamsplat::{Engine, EngineError, Frame, Interval, Settings};
 use streamsplat_model::reuse::{Saving, Tokens};
@@ -296,5 +298,86 @@ fn a_panic_in_any_call_of_a_reconstructor_leaves_the_stream_as_it_was() {
             let frames = |engine: &Engine| engine.work().stage("fit").map(|stage| stage.done);
             assert_eq!(frames(&struck), frames(&untouched).map(|n| n + u64::from(k >= 2)), "{call}: the account");
         }
+    }
+}
+
+/// A theatre for tiles of its size, of which the second and the third refuse every frame.
+struct Refusing(Arc<Theatre>, AtomicUsize);
+
+struct RefusingSession(Box<dyn Session>, usize);
+
+impl Reconstructor for Refusing {
+    fn resolution(&self) -> [usize; 2] {
+        self.0.resolution()
+    }
+
+    fn tiling(&self) -> Option<Tiling> {
+        Some(Tiling { patch: 8, cells: 4, partial: false })
+    }
+
+    fn session(self: Arc<Self>, saving: Option<Saving>) -> Box<dyn Session> {
+        Box::new(RefusingSession(self.0.clone().session(saving), self.1.fetch_add(1, Ordering::Relaxed)))
+    }
+}
+
+impl Session for RefusingSession {
+    fn embed(&mut self, frame: &FrameInput<'_>) -> Result<Embedding, ModelError> {
+        match self.1 {
+            1 | 2 => Err(ModelError::Format { file: format!("tile {}", self.1), reason: "refused".to_owned() }),
+            _ => self.0.embed(frame),
+        }
+    }
+
+    fn upsample(&mut self, embedding: &Embedding) -> Result<Vec<f32>, ModelError> {
+        self.0.upsample(embedding)
+    }
+
+    fn gaussians(&mut self, tokens: &[f32], sampling: &Sampling) -> Result<StaticGaussians, ModelError> {
+        self.0.gaussians(tokens, sampling)
+    }
+
+    fn draws_positions(&self) -> bool {
+        false
+    }
+
+    fn reads_condition(&self) -> bool {
+        false
+    }
+
+    fn condition(&mut self, _: &FrameInput<'_>) -> Result<Option<Vec<f32>>, ModelError> {
+        Ok(None)
+    }
+
+    fn decode(&mut self, a: &Side<'_>, b: &Side<'_>) -> Result<[Vec<f32>; 2], ModelError> {
+        self.0.decode(a, b)
+    }
+
+    fn upsample_motion(&mut self, place: usize, d: &[f32]) -> Result<Vec<f32>, ModelError> {
+        self.0.upsample_motion(place, d)
+    }
+
+    fn motion(&mut self, place: usize, tokens: &[f32], motion_tokens: &[f32]) -> Result<Motion, ModelError> {
+        self.0.motion(place, tokens, motion_tokens)
+    }
+}
+
+#[test]
+fn of_several_tiles_that_refuse_a_frame_the_first_is_named_and_the_work_of_all_counts() {
+    for threads in [1, 4] {
+        let model: Arc<dyn Reconstructor> = Arc::new(Refusing(Arc::new(Theatre::new([8, 8])), AtomicUsize::new(0)));
+        let settings = Settings {
+            resolution: Some(Resolution::Exact([32, 32])),
+            threads,
+            ..Settings::with_model(ModelSource::Shared(model))
+        };
+        let mut engine = Engine::new(settings).expect("starts");
+        let frame = Frame { width: 32, height: 32, rgb: vec![0.5; 3 * 32 * 32], depth: None };
+        for _ in 0..8 {
+            let error = engine.push(frame.clone(), 0.0).expect_err("two tiles refuse it").to_string();
+            assert!(error.contains("tile 1: refused"), "{threads} threads: {error}");
+        }
+        let done = |stage| engine.work().stage(stage).map(|stage| stage.done);
+        // Four tiles are encoded, two of them without a result.
+        assert_eq!([done("encoder"), done("upsampler")], [Some(8 * 4), Some(8 * 2)], "{threads} threads");
     }
 }
