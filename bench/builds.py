@@ -1,9 +1,10 @@
 """Time of `run` in several builds: builds.py CLIPS PROGRAM [PROGRAM…] [--rounds 5] [--quality balanced] [--only NAME…] [--y4m] [--json FILE]
 
-CLIPS is a folder of clips, each a folder of images; with `--y4m` the timed runs read them as YUV4MPEG2 of 4:2:0, which FFmpeg makes first. Clip by clip and round by round, each program runs `run CLIP --threads 2 --emit rgb --out FILE.y4m` in
-turn, in the opposite order in every second round. For each clip and program it prints the medians of wall clock, processor time and peak memory, the median
-over rounds of the first program's wall clock divided by this one's, the PSNR of its images (mean over frames, at the source's own size, from one more run
-of the images to PNG files), and the digest of the video. It ends with the median of these ratios over clips. A program whose video differs from round to round is an error.
+CLIPS is a folder of clips, each a folder of images. Clip by clip and round by round, each program runs `run CLIP --threads 2 --emit rgb --out FILE.y4m` in
+turn, in the opposite order in every second round. With `--y4m` it reads the clip as YUV4MPEG2 of 4:2:0, which FFmpeg makes first. For each clip and program
+are printed the medians of wall clock, processor time and peak memory, the median over rounds of the first program's wall clock divided by this one's, the
+PSNR of its images (mean over frames, at the source's own size, from one more run, of the folder to PNG files), and the digest of the video. It ends with the
+median of these ratios over clips. A program whose video differs from round to round is an error.
 """
 
 import argparse
@@ -99,7 +100,7 @@ def main():
         print(f'{medians[program]:.3f} times as fast: {program}')
     if options.json:
         versions = {p: subprocess.run([p, '--version'], check=True, capture_output=True, text=True).stdout.strip() for p in options.programs}
-        record = {'quality': options.quality, 'rounds': options.rounds, 'programs': versions, 'median': medians, 'rows': rows}
+        record = {'quality': options.quality, 'y4m': options.y4m, 'rounds': options.rounds, 'programs': versions, 'median': medians, 'rows': rows}
         options.json.write_text(json.dumps(record, indent=1) + '\n')
 
 

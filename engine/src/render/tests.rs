@@ -272,18 +272,19 @@ fn thickness_shows_from_the_side_and_not_from_the_front() {
 
 #[test]
 fn what_rests_within_an_interval_is_drawn_once() {
-    // The right half rests, the left half moves, comes and goes: other Gaussians can be seen at each time.
-    let mut halves = interval([24, 40]);
-    halves.gaussians = halves
-        .gaussians
-        .iter()
-        .map(|record| match record.mean[0] > 0.0 {
-            true => Record { velocity: [0.0; 3], gamma: [0.0; 2], ..record },
-            false => Record { gamma: [40.0, 0.1], ..record },
-        })
-        .collect();
+    // What is right of an edge rests, the rest comes and goes: other Gaussians can be seen at each time.
+    let resting_from = |edge: f32| {
+        let mut scene = interval([24, 40]);
+        let records = scene.gaussians.iter().map(|record| {
+            let gamma = if record.mean[0] > edge { [0.0; 2] } else { [40.0, 0.1] };
+            Record { velocity: [0.0; 3], gamma, ..record }
+        });
+        scene.gaussians = records.collect();
+        scene
+    };
     let options = RenderOptions { size: Size::Exact { width: 640, height: 384 }, ..RenderOptions::default() };
-    for (interval, rests) in [(&halves, true), (&interval([24, 40]), false)] {
+    // A half of the records, and a fifth: too few to look for them.
+    for (interval, rests) in [(&resting_from(0.0), true), (&resting_from(0.6), false)] {
         let mut renderer = Renderer::new(&workers());
         for time in [2.1, 2.6, 3.9] {
             let image = renderer.render(interval, time, &Camera::Canonical, &options).expect("drawn").clone();

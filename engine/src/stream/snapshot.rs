@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
+use rayon::prelude::*;
 use streamsplat_kernels::Level;
-use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
 use streamsplat_kernels::raster::ALPHA_MIN;
 use streamsplat_model::motion;
 
@@ -40,27 +40,17 @@ impl Snapshot {
     /// # Panics
     /// When the arrays differ in length ([`DynamicGaussians::uneven`]).
     pub fn new(level: Level, gaussians: &DynamicGaussians, t: f32) -> Self {
-        let seen = map_indexed(gaussians.len().div_ceil(CHUNK), |chunk| seen(level, gaussians, t, chunk));
-        let mut out = Self::with_len(seen.iter().map(|seen| seen.index.len()).sum());
-        out.dropped = seen.iter().map(|seen| seen.dropped).sum();
-        let mut parts = Vec::with_capacity(seen.len());
-        let mut rest = out.as_part();
-        for seen in &seen {
-            parts.push((seen, rest.split_off(seen.index.len())));
+        let (all, _) = Self::in_place(level, gaussians, t);
+        // Opacities that are not 0 are at least 1/255.
+        let kept: Vec<usize> = (0..all.index.len()).filter(|i| all.opacity[*i] > 0.0).collect();
+        Self {
+            index: kept.iter().map(|i| *i as u32).collect(),
+            mean: kept.iter().map(|i| all.mean[*i]).collect(),
+            scale: kept.iter().map(|i| all.scale[*i]).collect(),
+            opacity: kept.iter().map(|i| all.opacity[*i]).collect(),
+            rgb: kept.iter().map(|i| all.rgb[*i]).collect(),
+            dropped: all.dropped,
         }
-        for_each_chunk(&mut parts, 1, |_, part| {
-            for (seen, Part { index, mean, scale, opacity, rgb }) in part {
-                index.copy_from_slice(&seen.index);
-                mean.copy_from_slice(&seen.mean);
-                opacity.copy_from_slice(&seen.opacity);
-                for (to, i) in seen.index.iter().enumerate() {
-                    let record = drawn(gaussians, *i as usize);
-                    scale[to] = record.deviations();
-                    rgb[to] = record.rgb_at(t);
-                }
-            }
-        });
-        out
     }
 
     /// [`Snapshot::new`] with an entry for every record: those that cannot be seen are all zeros. So a record has one
@@ -70,88 +60,34 @@ impl Snapshot {
     /// # Panics
     /// As [`Snapshot::new`].
     pub(crate) fn in_place(level: Level, gaussians: &DynamicGaussians, t: f32) -> (Self, usize) {
-        let mut out = Self::with_len(gaussians.len());
-        let mut parts = Vec::with_capacity(gaussians.len().div_ceil(CHUNK));
-        let mut rest = out.as_part();
-        for start in (0..gaussians.len()).step_by(CHUNK) {
-            parts.push((start..gaussians.len().min(start + CHUNK), rest.split_off(CHUNK), [0, 0]));
-        }
-        for_each_chunk(&mut parts, 1, |_, part| {
-            for (range, Part { index, mean, scale, opacity, rgb }, [dropped, rest]) in part {
-                *dropped = each_seen(level, gaussians, t, range.clone(), |i, at, seen| {
-                    let (to, record) = (i - range.start, drawn(gaussians, i));
-                    *rest += u64::from(record.rests());
+        let count = gaussians.len();
+        let mut out = Self {
+            index: (0..count as u32).collect(),
+            mean: vec![[0.0; 3]; count],
+            scale: vec![[0.0; 3]; count],
+            opacity: vec![0.0; count],
+            rgb: vec![[0.0; 3]; count],
+            dropped: 0,
+        };
+        let shapes = out.mean.par_chunks_mut(CHUNK).zip(out.scale.par_chunks_mut(CHUNK));
+        let looks = out.opacity.par_chunks_mut(CHUNK).zip(out.rgb.par_chunks_mut(CHUNK));
+        let counts: Vec<[u64; 2]> = shapes
+            .zip(looks)
+            .enumerate()
+            .map(|(chunk, ((mean, scale), (opacity, rgb)))| {
+                let (start, mut resting) = (chunk * CHUNK, 0);
+                let dropped = each_seen(level, gaussians, t, start..start + mean.len(), |i, at, seen| {
+                    let (to, record) = (i - start, drawn(gaussians, i));
+                    resting += u64::from(record.rests());
                     (mean[to], opacity[to]) = (at, seen);
                     (scale[to], rgb[to]) = (record.deviations(), record.rgb_at(t));
                 });
-                index.iter_mut().zip(range.clone()).for_each(|(index, i)| *index = i as u32);
-            }
-        });
-        let [dropped, rest] = [0, 1].map(|kind| parts.iter().map(|(_, _, counts)| counts[kind]).sum());
-        (Self { dropped, ..out }, rest as usize)
+                [dropped, resting]
+            })
+            .collect();
+        let [dropped, resting] = [0, 1].map(|kind| counts.iter().map(|counts| counts[kind]).sum());
+        (Self { dropped, ..out }, resting as usize)
     }
-
-    /// `len` Gaussians of zeros.
-    fn with_len(len: usize) -> Self {
-        Self {
-            index: vec![0; len],
-            mean: vec![[0.0; 3]; len],
-            scale: vec![[0.0; 3]; len],
-            opacity: vec![0.0; len],
-            rgb: vec![[0.0; 3]; len],
-            dropped: 0,
-        }
-    }
-
-    fn as_part(&mut self) -> Part<'_> {
-        let Self { index, mean, scale, opacity, rgb, dropped: _ } = self;
-        Part { index, mean, scale, opacity, rgb }
-    }
-}
-
-/// Consecutive Gaussians of a snapshot: members as of [`Snapshot`].
-struct Part<'a> {
-    index: &'a mut [u32],
-    mean: &'a mut [[f32; 3]],
-    scale: &'a mut [[f32; 3]],
-    opacity: &'a mut [f32],
-    rgb: &'a mut [[f32; 3]],
-}
-
-impl<'a> Part<'a> {
-    /// Removes the first `len` Gaussians, or all if there are fewer, and returns them.
-    fn split_off(&mut self, len: usize) -> Part<'a> {
-        let len = len.min(self.index.len());
-        Part {
-            index: self.index.split_off_mut(..len).unwrap_or_default(),
-            mean: self.mean.split_off_mut(..len).unwrap_or_default(),
-            scale: self.scale.split_off_mut(..len).unwrap_or_default(),
-            opacity: self.opacity.split_off_mut(..len).unwrap_or_default(),
-            rgb: self.rgb.split_off_mut(..len).unwrap_or_default(),
-        }
-    }
-}
-
-/// The Gaussians of a chunk that can be seen: members as of [`Snapshot`].
-struct Seen {
-    index: Vec<u32>,
-    mean: Vec<[f32; 3]>,
-    opacity: Vec<f32>,
-    dropped: u64,
-}
-
-/// Visible Gaussians of one chunk, in order.
-fn seen(level: Level, gaussians: &DynamicGaussians, t: f32, chunk: usize) -> Seen {
-    let start = chunk * CHUNK;
-    let range = start..gaussians.len().min(start + CHUNK);
-    let (index, mean) = (Vec::with_capacity(range.len()), Vec::with_capacity(range.len()));
-    let mut seen = Seen { index, mean, opacity: Vec::with_capacity(range.len()), dropped: 0 };
-    seen.dropped = each_seen(level, gaussians, t, range, |i, mean, opacity| {
-        seen.index.push(i as u32);
-        seen.mean.push(mean);
-        seen.opacity.push(opacity);
-    });
-    seen
 }
 
 /// Calls `visit` with the index, the centre and the opacity of each record of the range that can be seen. Returns the
