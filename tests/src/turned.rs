@@ -76,6 +76,8 @@ pub enum Depth {
     Found,
     /// The one found by parallax, in the true scale by least squares; `None` where none was found.
     FoundInScale,
+    /// The same, guessed where none was found.
+    GuessedInScale,
 }
 
 /// Takes pictures of a scene, a second apart, through an engine of these settings. Returns the interval of the last one
@@ -151,7 +153,7 @@ struct LastKey {
     /// The true picture.
     straight: CardPicture,
     interval: Interval,
-    /// True if depth was found by parallax.
+    /// True if depth was found by parallax, or guessed.
     found: bool,
     /// True if the interval's depth is in the true scale.
     true_scale: bool,
@@ -159,8 +161,13 @@ struct LastKey {
 
 impl Engines {
     fn new(settings: &Settings, depth: Depth) -> Self {
-        let finds = matches!(depth, Depth::Found | Depth::FoundInScale);
-        let settings = Settings { depth_range: DepthRange::Given, find_depth: Some(finds), ..settings.clone() };
+        let guesses = depth == Depth::GuessedInScale;
+        let settings = Settings {
+            depth_range: DepthRange::Given,
+            find_depth: Some(guesses || matches!(depth, Depth::Found | Depth::FoundInScale)),
+            guess_depth: Some(guesses),
+            ..settings.clone()
+        };
         let model = Arc::clone(Engine::new(settings.clone()).expect("starts").model());
         Self { settings, model, depth }
     }
@@ -176,7 +183,7 @@ impl Engines {
             reconstruct(&mut self.start(), &pictures, scene.size(), self.depth == Depth::True).expect("taken");
         let straight = pictures.pop().expect("a time");
         let mut true_scale = self.depth == Depth::True;
-        if let (Depth::FoundInScale, Some(map)) = (self.depth, &map) {
+        if let (Depth::FoundInScale | Depth::GuessedInScale, Some(map)) = (self.depth, &map) {
             let map = map_of(&in_scale(map, &straight.y));
             interval = self.start().push(frame(&straight, scene.size(), Some(map)), 0.0).expect("taken");
             true_scale = true;

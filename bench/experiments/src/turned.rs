@@ -106,7 +106,12 @@ pub(crate) fn run(options: &Options) -> Result<()> {
                 let scenes: Vec<Cards> = (0..options.scenes)
                     .map(|seed| Cards::with_body(seed, [height, width], body, moves, &textures))
                     .collect();
-                let depths = [("none", Depth::None), ("true", Depth::True), ("found", Depth::FoundInScale)];
+                let depths = [
+                    ("none", Depth::None),
+                    ("true", Depth::True),
+                    ("found", Depth::FoundInScale),
+                    ("guessed", Depth::GuessedInScale),
+                ];
                 for (name, depth) in depths {
                     let mut failed = None;
                     let score = score_bodies(&settings, &scenes, depth, &times, options.degrees, |what, scene, rgb| {

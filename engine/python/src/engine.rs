@@ -35,7 +35,7 @@ impl Engine {
     #[new]
     #[pyo3(signature = (model=None, *, dinov2=None, fusion="persistent", max_age=None, fit="letterbox", depth_range="frame",
         sampling="mean", seed=0, reuse=None, precision=None, isa="auto", threads=0, resolution=None, motion=None, refine=None, flow=None,
-        fade=None, refine_every=None, quality=None, find_depth=None,
+        fade=None, refine_every=None, quality=None, find_depth=None, guess_depth=None,
         refine_to=None, detail=None, still=None, behind=None))]
     fn new(
         py: Python<'_>,
@@ -59,6 +59,7 @@ impl Engine {
         refine_every: Option<u32>,
         quality: Option<&str>,
         find_depth: Option<bool>,
+        guess_depth: Option<bool>,
         refine_to: Option<f32>,
         detail: Option<u32>,
         still: Option<&str>,
@@ -118,7 +119,9 @@ impl Engine {
         if let Some(text) = behind {
             settings.behind = choice("behind", text)?;
         }
-        settings.find_depth = find_depth.or(settings.find_depth);
+        let guesses = guess_depth == Some(true);
+        settings.find_depth = find_depth.or(guesses.then_some(true)).or(settings.find_depth);
+        settings.guess_depth = guess_depth.or(settings.guess_depth);
         settings.refine = refine.or(settings.refine);
         if let Some(share) = detail.filter(|share| *share > 1000) {
             return Err(wrong(format!("detail: expected 0 to 1000 for each 1000 pixels, found {share}")));
@@ -126,6 +129,10 @@ impl Engine {
         settings.detail = detail.or(settings.detail);
         settings.refine_every = refine_every.or(settings.refine_every);
         let engine = py.detach(|| streamsplat::Engine::new(settings)).map_err(failed)?;
+        if guesses && !engine.finds_depth() {
+            let expected = "expected find_depth, a model that ignores depth, and motion from frames";
+            return Err(wrong(format!("guess_depth: {expected}")));
+        }
         Ok(Self { inner: Mutex::new(engine) })
     }
 

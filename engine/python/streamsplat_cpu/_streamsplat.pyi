@@ -330,6 +330,7 @@ class Engine:
         refine_every: int | None = None,
         quality: Literal["realtime", "balanced", "best"] | None = None,
         find_depth: bool | None = None,
+        guess_depth: bool | None = None,
         refine_to: float | None = None,
         detail: int | None = None,
         still: str | None = None,

@@ -34,8 +34,11 @@ const GAP: usize = 2;
 const SEEDS: f64 = 0.25;
 /// Number of rows under a body that are searched for the ground.
 const UNDER: usize = 6;
-/// Confidence of a body's depth.
-const CONFIDENCE: f32 = 0.5;
+/// Confidence of a body's depth over a ground that was measured.
+pub(super) const CONFIDENCE: f32 = 0.5;
+/// Fraction of the confidence of a body's depth, below which its depth of the previous key frame was guessed, while the
+/// present one is measured.
+const GUESSED: f32 = 0.06;
 /// Minimum score of a cell that still counts as part of a body.
 pub(super) const STILL_BODY: f32 = 0.4;
 /// Ratio of inverse depths above which a part seems nearer than its body.
@@ -45,8 +48,9 @@ const PART: f64 = 0.4;
 /// Rows of the surroundings that are averaged on each side of a row.
 const BAND: usize = 3;
 
-/// Assigns each body its depth, from this interval's cells and those of the previous frame, carried along the flow.
-pub(super) fn settle(cells: &mut [Cell], carried: Option<&[Cell]>, sight: &Sight<'_>) {
+/// Assigns each body its depth, of this confidence, from this interval's cells and those of the previous frame, carried
+/// along the flow.
+pub(super) fn settle(cells: &mut [Cell], carried: Option<&[Cell]>, sight: &Sight<'_>, trust: f32) {
     let [rows, columns] = sight.grid;
     let was = |at: usize| carried.is_some_and(|carried| carried[at].body >= STILL_BODY);
     let hints: Vec<bool> = (0..cells.len()).map(|at| cells[at].hint || cells[at].moves || was(at)).collect();
@@ -74,7 +78,8 @@ pub(super) fn settle(cells: &mut [Cell], carried: Option<&[Cell]>, sight: &Sight
     for (index, body) in bodies.iter_mut().enumerate() {
         grow(body, &mut owner, index, sight);
     }
-    let depths: Vec<Option<f32>> = bodies.iter().map(|body| depth(cells, body, &owner, carried, sight.grid)).collect();
+    let depths: Vec<Option<f32>> =
+        bodies.iter().map(|body| depth(cells, body, &owner, carried, sight.grid, trust)).collect();
     for (index, (body, depth)) in bodies.iter_mut().zip(&depths).enumerate() {
         if let Some(depth) = depth {
             nearer_parts(cells, body, &mut owner, index, *depth, [rows, columns]);
@@ -82,7 +87,7 @@ pub(super) fn settle(cells: &mut [Cell], carried: Option<&[Cell]>, sight: &Sight
     }
     for ((body, depth), score) in bodies.iter().zip(depths).zip(scores) {
         for &at in body {
-            let (inverse, confidence) = depth.map_or((0.0, 0.0), |inverse| (inverse, CONFIDENCE));
+            let (inverse, confidence) = depth.map_or((0.0, 0.0), |inverse| (inverse, trust));
             cells[at] = Cell { inverse, confidence, body: score, ..cells[at] };
         }
     }
@@ -260,6 +265,7 @@ fn depth(
     owner: &[usize],
     carried: Option<&[Cell]>,
     [rows, columns]: [usize; 2],
+    trust: f32,
 ) -> Option<f32> {
     let (first, last) = (body.first()?, body.last()?);
     let (top, bottom) = (first / columns, last / columns);
@@ -296,7 +302,10 @@ fn depth(
         };
         let scale = weighted_median((0..cells.len()).filter(|at| owner[*at] == usize::MAX).map(ratio))?;
         let was = |at: &usize| carried[*at].body >= STILL_BODY;
-        let known = body.iter().filter(|at| was(at)).map(|at| (carried[*at].inverse, carried[*at].confidence));
+        let known = body
+            .iter()
+            .filter(|at| was(at) && carried[**at].confidence > GUESSED * trust)
+            .map(|at| (carried[*at].inverse, carried[*at].confidence));
         let of_body = body.iter().filter(|at| was(at)).count();
         let then = weighted_median(known)?;
         (2 * of_body >= body.len()).then_some(then * scale)

@@ -1,15 +1,29 @@
 //! Homographies: the motion of one plane, or of any scene under a camera that only turns.
 
+use glam::DVec3;
+
 use super::linear::Normal;
 use super::matches::Match;
 
+/// The homography that leaves every point in its place, row by row without the last number, which is 1.
+pub(super) const IDENTITY: [f64; 8] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
 /// Rounds of weighting.
 const ROUNDS: usize = 10;
 
-/// Returns the fraction of the matches, by weight, that the best homography maps to within `fits`. The homography is
-/// fitted by least squares with weights that decrease with the distance.
+/// Returns the fraction of the matches, by weight, that the best homography maps to within `fits`.
 pub(super) fn share(matches: &[Match], fits: f64) -> f64 {
-    let mut h = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
+    let h = fit(matches, fits);
+    let (mut all, mut fit) = (0.0, 0.0);
+    for m in matches {
+        all += m.weight;
+        fit += if distance(&h, m) < fits { m.weight } else { 0.0 };
+    }
+    fit / all
+}
+
+/// Returns the homography that fits the matches by least squares, with weights that decrease with the distance.
+pub(super) fn fit(matches: &[Match], fits: f64) -> [f64; 8] {
+    let mut h = IDENTITY;
     for round in 0..ROUNDS {
         let mut normal = Normal::<8>::new();
         // The scale changes from loose to tight.
@@ -29,18 +43,18 @@ pub(super) fn share(matches: &[Match], fits: f64) -> f64 {
         let Some(next) = normal.solve() else { break };
         h = next;
     }
-    let (mut all, mut fit) = (0.0, 0.0);
-    for m in matches {
-        all += m.weight;
-        fit += if distance(&h, m) < fits { m.weight } else { 0.0 };
-    }
-    fit / all
+    h
 }
 
 fn distance(h: &[f64; 8], m: &Match) -> f64 {
-    let (x, y) = (m.one.x, m.one.y);
+    miss(h, m.one, m.other)
+}
+
+/// Returns the distance of `other` from where the homography maps `one`.
+pub(super) fn miss(h: &[f64; 8], one: DVec3, other: DVec3) -> f64 {
+    let (x, y) = (one.x, one.y);
     let depth = h[6] * x + h[7] * y + 1.0;
-    let du = (h[0] * x + h[1] * y + h[2]) / depth - m.other.x;
-    let dv = (h[3] * x + h[4] * y + h[5]) / depth - m.other.y;
+    let du = (h[0] * x + h[1] * y + h[2]) / depth - other.x;
+    let dv = (h[3] * x + h[4] * y + h[5]) / depth - other.y;
     (du * du + dv * dv).sqrt()
 }

@@ -36,6 +36,10 @@
 //! | flow with NaN | none |
 //! | constant inverse depth | none |
 //!
+//! With [`Settings::guess_depth`](crate::Settings::guess_depth) an interval in which the camera does not move or only
+//! turns, or sees one plane, adds a guess: a ground with upright bodies on it, `ground`. Measured depth that is carried
+//! or found later outweighs it.
+//!
 //! A stream's first key frame has no flow. Its depth is computed together with the second key frame's, along the flow
 //! to that frame, and joined with it.
 //!
@@ -48,6 +52,7 @@ mod bodies;
 mod epipolar;
 mod fill;
 mod filter;
+mod ground;
 mod homography;
 mod lens;
 mod linear;
@@ -140,27 +145,51 @@ pub fn find(
     window: &Window,
     stream: Stream,
 ) -> (Option<Found>, Window) {
-    let (filled, window) = search(level, evidence, before, window, stream);
+    let Search { filled, window, .. } = search(level, evidence, before, window, stream, false);
     (filled.map(|filled| filled.found), window)
 }
 
-/// [`find`] with the holes filled.
+/// Result of [`search`].
+pub(crate) struct Search {
+    /// Inverse depth, if there is any.
+    pub(crate) filled: Option<Filled>,
+    /// True if a guess is part of it.
+    pub(crate) guessed: bool,
+    /// The picture's window.
+    pub(crate) window: Window,
+}
+
+/// [`find`] with the holes filled. `guess`: an interval without parallax may add a guess ([`ground`]).
 pub(crate) fn search(
     level: Level,
     evidence: Evidence<'_>,
     before: Option<&Found>,
     window: &Window,
     stream: Stream,
-) -> (Option<Filled>, Window) {
+    guess: bool,
+) -> Search {
     let sight = Sight::new(level, evidence);
     let carried = before.map(|found| filter::carry(found, &sight));
     let window = window.advance(level, &sight);
-    let now = window.cells(&sight, stream).map(|mut cells| {
-        let before = carried.as_ref().and_then(|carried| carried.as_ref());
-        bodies::settle(&mut cells, before.map(|(cells, _)| &cells[..]), &sight);
-        cells
-    });
-    (filter::join(level, now, carried, &sight), window)
+    let before = carried.as_ref().and_then(|carried| carried.as_ref()).map(|(cells, _)| &cells[..]);
+    let (now, carried, guessed) = match (window.cells(&sight, stream), window.tracks.first()) {
+        (Ok(mut cells), _) => {
+            bodies::settle(&mut cells, before, &sight, bodies::CONFIDENCE);
+            (Some(cells), carried, false)
+        }
+        (Err(reason @ (NoParallax::Still | NoParallax::Flat)), Some(track)) if guess => {
+            let mut cells = ground::cells(&sight, track, reason, before);
+            bodies::settle(&mut cells, before, &sight, ground::TRUST);
+            match carried.flatten() {
+                None => (Some(cells), None, true),
+                // They are in the carried scale already.
+                Some((_, nearest)) => (None, Some(Some((cells, nearest))), true),
+            }
+        }
+        _ => (None, carried, false),
+    };
+    let filled = filter::join(level, now, carried, &sight);
+    Search { guessed: guessed && filled.is_some(), filled, window }
 }
 
 /// Values computed once for a pair of pictures.

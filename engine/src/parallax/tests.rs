@@ -357,3 +357,89 @@ fn a_window_of_other_numbers_is_refused() {
         assert!(wrong.contradiction(SIZE).is_some());
     }
 }
+
+/// A ground without its own motion, and an upright body on it that moves to the right.
+fn walker(x: f64, y: f64) -> (f64, [f64; 2]) {
+    if (60.0..84.0).contains(&x) && (24.0..76.0).contains(&y) { (0.9, [6.0, 0.0]) } else { (0.3, [0.0; 2]) }
+}
+
+/// A search with a guess.
+fn guessed(scene: Scene, motion: Motion, length: f64, before: Option<&Found>) -> Search {
+    let [there, back] = flow(scene, motion, length);
+    let rgb = picture();
+    let evidence = Evidence { rgb: &rgb, there: &there, back: &back };
+    search(Level::scalar(), evidence, before, &Window::default(), STREAM, true)
+}
+
+#[test]
+fn without_parallax_a_guess_is_a_ground_with_upright_bodies_on_it() {
+    let [still, turning] = [[0.0; 3], [0.0, 0.04, 0.0]].map(|turn| motion(turn, [1.0, 0.0, 0.0]));
+    for camera in [still, turning] {
+        assert_eq!(found(walker, camera, 0.0, None), None, "nothing is guessed unless that is requested");
+        let Search { filled, guessed, .. } = guessed(walker, camera, 0.0, None);
+        let found = filled.expect("a guess").found;
+        assert!(guessed);
+        let [rows, columns] = found.grid;
+        let at = |row: usize, column: usize| found.inverse[row * columns + column];
+        for row in 1..rows {
+            assert!(at(row, 3) >= at(row - 1, 3), "lower is not farther");
+        }
+        assert!(at(rows - 1, 3) > 3.0 * at(0, 3));
+        // The body is at one depth, that of the ground under its feet.
+        let (head, feet) = (at(14, 36), at(36, 36));
+        assert_eq!(head, feet);
+        assert!((feet / at(39, 3) - 1.0).abs() < 0.1, "{feet} on a ground of {}", at(39, 3));
+        assert!(feet > 1.5 * at(14, 3), "in front of what is behind it");
+    }
+}
+
+#[test]
+fn measured_depth_outweighs_a_guess() {
+    let (still, moving) = (motion([0.0; 3], [1.0, 0.0, 0.0]), motion([0.0, 0.01, 0.0], [1.0, 0.0, 0.0]));
+    let ordered = |found: &Found| order(&found.map(Level::scalar(), &picture(), SIZE), planes);
+    // Any number of guesses before, whose order is another one.
+    let mut before = None;
+    for _ in 0..8 {
+        before = guessed(walker, still, 0.0, before.as_ref()).filled.map(|filled| filled.found);
+    }
+    assert!(before.as_ref().is_some_and(|found| found.confidence.iter().all(|c| *c <= 0.03)), "it does not grow");
+    assert!(ordered(before.as_ref().expect("a guess")) < 0.7);
+    let Search { filled, guessed: any, .. } = guessed(planes, moving, 0.1, before.as_ref());
+    assert!(!any, "parallax needs no guess");
+    let measured = filled.expect("parallax").found;
+    assert!(ordered(&measured) > 0.85, "{}", ordered(&measured));
+    // Guesses after it, also where a part of it has no confidence.
+    let mut partly = found(planes, moving, 0.1, None).expect("parallax");
+    for cell in (0..partly.inverse.len()).filter(|cell| cell % 9 < 4) {
+        (partly.inverse[cell], partly.confidence[cell]) = (0.0, 0.0);
+    }
+    let mut last = partly.clone();
+    for _ in 0..6 {
+        let Search { filled, guessed: any, .. } = guessed(planes, still, 0.0, Some(&last));
+        assert!(any);
+        last = filled.expect("carried").found;
+    }
+    let known = |cell: &usize| partly.confidence[*cell] > 0.5;
+    let ratios = (0..last.inverse.len()).filter(known).map(|cell| last.inverse[cell] / partly.inverse[cell]);
+    let near = ratios.clone().filter(|ratio| (ratio - 1.0).abs() < 0.15).count();
+    assert!(near as f64 > 0.9 * ratios.clone().count() as f64, "{near} cells of {}", ratios.count());
+    assert!((last.nearest / partly.nearest - 1.0).abs() < 0.5, "{} after {}", last.nearest, partly.nearest);
+}
+
+#[test]
+fn nothing_is_guessed_against_what_the_flow_shows() {
+    let ceiling: Scene = |x, y| ground(x, SIZE[0] as f64 - 1.0 - y);
+    let Search { filled, guessed, .. } = guessed(ceiling, motion([0.0; 3], [1.0, 0.0, 0.0]), 0.12, None);
+    assert!(filled.is_none() && !guessed, "what is higher seems nearer");
+}
+
+#[test]
+fn a_guess_fits_pictures_of_any_size() {
+    for size in [[1, 1], [1, 9], [9, 1], [3, 5]] {
+        let [there, back] = [Field::zero(size), Field::zero(size)];
+        let rgb = vec![0.5; 3 * size[0] * size[1]];
+        let evidence = Evidence { rgb: &rgb, there: &there, back: &back };
+        let Search { filled, .. } = search(Level::scalar(), evidence, None, &Window::default(), STREAM, true);
+        assert!(filled.is_none_or(|filled| filled.found.contradiction(size).is_none()), "{size:?}");
+    }
+}

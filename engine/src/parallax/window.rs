@@ -24,7 +24,7 @@ use streamsplat_kernels::philox::Stream;
 use super::filter::{NEAREST, weighted_median};
 use super::matches::LEAST;
 use super::triangulate::{self, Cell};
-use super::{CELL, Sight};
+use super::{CELL, NoParallax, Sight};
 
 /// Key frames that are remembered.
 pub(super) const LENGTH: usize = 8;
@@ -121,27 +121,31 @@ impl Window {
     }
 
     /// Inverse depth of all cells from the baselines of this window, in units of the median of the shortest one with
-    /// parallax; `None` where none has any.
-    pub(super) fn cells(&self, sight: &Sight<'_>, stream: Stream) -> Option<Vec<Cell>> {
+    /// parallax. Where none has any, the reason of the shortest one.
+    pub(super) fn cells(&self, sight: &Sight<'_>, stream: Stream) -> Result<Vec<Cell>, NoParallax> {
         let mut joined: Option<(Vec<Cell>, f64)> = None;
-        let mut shorter = None;
+        let (mut shorter, mut reason) = (None, None);
         for (part, age) in AGES.into_iter().enumerate() {
             let Some(track) = self.tracks.get(age - 1) else { break };
             let mut enough = f64::from(track.length()) >= FAR * sight.unit;
-            if let Ok((motion, parallax)) = sight.camera(track, stream, part as u64, shorter.as_ref()) {
-                let (cells, unit) = triangulate::cells(sight, track, &motion, joined.as_ref().map(|(_, unit)| *unit));
-                match &mut joined {
-                    None => joined = Some((cells, unit)),
-                    Some((joined, _)) => add(joined, &cells),
+            match sight.camera(track, stream, part as u64, shorter.as_ref()) {
+                Ok((motion, parallax)) => {
+                    let unit = joined.as_ref().map(|(_, unit)| *unit);
+                    let (cells, unit) = triangulate::cells(sight, track, &motion, unit);
+                    match &mut joined {
+                        None => joined = Some((cells, unit)),
+                        Some((joined, _)) => add(joined, &cells),
+                    }
+                    enough |= parallax >= ENOUGH;
+                    shorter = Some(motion);
                 }
-                enough |= parallax >= ENOUGH;
-                shorter = Some(motion);
+                Err(none) => reason = reason.or(Some(none)),
             }
             if enough {
                 break;
             }
         }
-        joined.map(|(cells, _)| cells)
+        joined.map(|(cells, _)| cells).ok_or(reason.unwrap_or(NoParallax::Inconsistent))
     }
 
     /// Expected and found values, if this cannot be the window of a picture of this size.

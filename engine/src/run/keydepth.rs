@@ -61,7 +61,7 @@ impl KeyDepth {
         limit: Option<usize>,
     ) -> Result<KeyDepth, Error> {
         Ok(match from {
-            DepthFrom::None | DepthFrom::Found => KeyDepth::None,
+            DepthFrom::None | DepthFrom::Found | DepthFrom::Guessed => KeyDepth::None,
             DepthFrom::Folder(folder, range, values) => {
                 let maps = DepthMaps::open_as(folder, source.files(), *range, *values)?;
                 // Maps of image files were matched with them by name.

@@ -11,7 +11,7 @@ use super::destination::Destination;
 use super::drawing::Drawing;
 use super::keydepth::KeyDepth;
 use super::keyframes::{Keep, KeyFrames};
-use super::options::{Fill, Machine, NamedMatrix, RunOptions};
+use super::options::{DepthSource, Fill, Machine, NamedMatrix, RunOptions};
 use super::outputs::{Emit, Finished, Outputs};
 use super::place::Place;
 use super::record::{Account, Build, Invocation, NetworkRecord, PROGRAM, Record, Timing, WorkRecord};
@@ -404,6 +404,17 @@ impl Session {
         drawing.account(&mut work, &mut seconds);
         if let Some(closeness) = &closeness {
             closeness.account(&mut work, &mut seconds);
+        }
+        let turned = drawing.counts.unfilmed.worst.is_some();
+        let guesses = task.options.stream.depth == Some(DepthSource::Guess);
+        if guesses && !engine.finds_depth() {
+            let cause = "the model reads depth, or motion is the network's";
+            task.observer.notes(&[format!("--depth guess changes nothing: {cause}")]);
+        }
+        let flat = work.get("lift").is_some_and(|lifted| lifted.done == 0);
+        if turned && flat && engine.finds_depth() && !guesses && key > 1 {
+            let guess = "--depth guess assumes a ground with moving bodies on it";
+            task.observer.notes(&[format!("no depth was found, so the turned scene is a flat card; {guess}")]);
         }
         let read = keys.account();
         // Notes added while reading.

@@ -384,7 +384,9 @@ impl Engine {
             && !settings.deforms()
             && settings.fusion == Fusion::Persistent
             && settings.sampling == SamplingMode::Mean
-            && settings.refine() > 0;
+            && settings.refine() > 0
+            // With a guess key frames are lifted, and lifted Gaussians are not kept.
+            && !(settings.guess_depth() && self.model.ignores_depth());
         if !wanted || view.has_depth() || before.map.is_some() {
             return None;
         }
@@ -634,14 +636,17 @@ struct Depths {
 struct Measured {
     depths: Depths,
     searches: [u64; 2],
+    /// Intervals without parallax that added a guess.
+    guessed: u64,
     time: Duration,
 }
 
 impl Measured {
     /// The result, entered in the account.
     fn counted(self, work: &mut Work) -> Depths {
-        let Self { depths, searches: [done, avoided], time } = self;
+        let Self { depths, searches: [done, avoided], guessed, time } = self;
         work.count(Stage::Parallax, done, avoided);
+        work.count(Stage::Guess, guessed, 0);
         work.spent(Stage::Parallax, time);
         depths
     }
@@ -659,27 +664,31 @@ fn found(
     let Some(state) = state else { return Measured::default() };
     let _span = Stage::Parallax.span().entered();
     let start = Instant::now();
+    let (guess, size) = (settings.guess_depth(), state.view.resolution());
     let flow = match search {
         Search::None => return Measured::default(),
+        // A camera that does not move, of whose stream nothing is guessed yet.
+        Search::Repeated if guess && state.found.is_none() => Cow::Owned(std::array::from_fn(|_| Field::zero(size))),
         Search::Repeated => {
-            let size = state.view.resolution();
             let found = state.found.clone().map(|found| found.filled(level, rgb, size));
             let depths = Depths { found, first: None, window: state.window.clone() };
-            return Measured { depths, searches: [0, 1], time: start.elapsed() };
+            return Measured { depths, searches: [0, 1], guessed: 0, time: start.elapsed() };
         }
         Search::Along(flow) => flow,
     };
     let [forth, back] = &*flow;
     let evidence = Evidence { rgb, there: back, back: forth };
     let stream = |frame: u64| Stream { seed: settings.seed, frame };
-    let (found, window) = parallax::search(level, evidence, state.found.as_ref(), &state.window, stream(index));
+    let search = parallax::search(level, evidence, state.found.as_ref(), &state.window, stream(index), guess);
+    let parallax::Search { filled: found, guessed, window } = search;
     let mut searches = 1;
     let first = found.as_ref().filter(|_| index == 1 && state.view.map.is_none()).and_then(|filled| {
         let evidence = Evidence { rgb: &state.view.rgb, there: forth, back };
         searches = 2;
-        parallax::search(level, evidence, Some(&filled.found), &Window::default(), stream(0)).0
+        parallax::search(level, evidence, Some(&filled.found), &Window::default(), stream(0), guess).filled
     });
-    Measured { depths: Depths { found, first, window }, searches: [searches, 0], time: start.elapsed() }
+    let depths = Depths { found, first, window };
+    Measured { depths, searches: [searches, 0], guessed: u64::from(guessed), time: start.elapsed() }
 }
 
 /// Aligns the map of a frame with the scale of the frame before, along the flow from it.

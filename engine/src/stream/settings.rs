@@ -52,6 +52,10 @@ pub struct Settings {
     /// the model ignores depth ([`Reconstructor::ignores_depth`]) and motion is taken from the frames. `None`: true for
     /// the model inside the library, false for any other.
     pub find_depth: Option<bool>,
+    /// True if depth is guessed where it is to be found and the camera does not move or only turns: a ground that rises
+    /// to a wall or a horizon, and moving bodies upright on it ([`crate::parallax`]). Needs [`Settings::find_depth`].
+    /// Static regions are then not kept. `None`: false.
+    pub guess_depth: Option<bool>,
     /// How depth maps are normalised.
     pub depth_range: DepthRange,
     /// Gaussians behind the foreground, where depth maps lift it.
@@ -162,6 +166,11 @@ impl Settings {
     pub fn find_depth(&self) -> bool {
         let wanted = self.find_depth.unwrap_or(matches!(self.model, ModelSource::Embedded));
         wanted && self.motion() != MotionFrom::Network
+    }
+
+    /// Returns true if depth is guessed where the model ignores depth and none can be found.
+    pub fn guess_depth(&self) -> bool {
+        self.find_depth() && self.guess_depth.unwrap_or(false)
     }
 
     /// Returns true if anything is taken from the network's dynamic half; otherwise it is not computed.
@@ -290,7 +299,8 @@ named! {
     /// Static regions of the picture.
     StaticRegions: "still" {
         /// Their Gaussians are kept while the frames differ by no more than the camera's noise. Applies where motion is
-        /// not the network's, fusion is persistent, positions are means, and no depth map lifts the frames.
+        /// not the network's, fusion is persistent, positions are means, and neither a depth map nor a guess lifts the
+        /// frames.
         Keep = "keep",
         /// As [`StaticRegions::Keep`], and with a codec's noise also while a region stays within 3/255 (38.6 dB) of its
         /// mean, in place of 2/255 (42.1 dB).

@@ -37,6 +37,7 @@ pub(crate) enum Stage {
     Decoder,
     Flow,
     Parallax,
+    Guess,
     Lift,
     Outline,
     Behind,
@@ -49,7 +50,7 @@ pub(crate) enum Stage {
 }
 
 impl Stage {
-    const ALL: [(Stage, &'static str, &'static str); 17] = [
+    const ALL: [(Stage, &'static str, &'static str); 18] = [
         (Stage::Fit, "fit", "frames"),
         (Stage::Encoder, "encoder", "tiles"),
         (Stage::Upsampler, "upsampler", "tiles"),
@@ -58,6 +59,7 @@ impl Stage {
         (Stage::Decoder, "decoder", "pairs of tiles"),
         (Stage::Flow, "flow", "pairs of frames"),
         (Stage::Parallax, "parallax", "intervals"),
+        (Stage::Guess, "guess", "intervals"),
         (Stage::Lift, "lift", "frames"),
         (Stage::Outline, "outline", "Gaussians"),
         (Stage::Behind, "behind", "Gaussians"),

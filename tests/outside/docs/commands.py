@@ -95,8 +95,8 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
     tools.mkdir()
     (tools / "streamsplat").symlink_to(program)
     (tools / "streamsplat-bench").symlink_to(program.with_name("streamsplat-bench"))
-    # `cargo run -- …` runs the built program here, and `-p streamsplat-fixtures` one built with the workspace, whose libraries exist: alone it has others. Every
-    # other cargo command runs in the repository.
+    # `cargo run -- …` runs the built program here, and `-p streamsplat-fixtures` one built with the workspace, whose libraries exist: alone it has others. Of
+    # `cargo test …` the tests are listed, and there must be some: tests/run has run them. Every other cargo command runs in the repository.
     cargo = shutil.which("cargo")
     shim = f"""#!/bin/sh
 case "$*" in
@@ -106,6 +106,7 @@ case "$*" in
   cd {root} && {cargo} build --release --locked --quiet --workspace --bin streamsplat-fixtures
   exec "${{CARGO_TARGET_DIR:-target}}/release/streamsplat-fixtures" "$@"
   ;;
+"test "*) cd {root} && {cargo} "$@" -- --list | grep -q ': test$' ;;
 *) cd {root} && exec {cargo} "$@" ;;
 esac
 """

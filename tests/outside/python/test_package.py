@@ -225,6 +225,14 @@ def test_depth_is_found_unless_it_is_not_wanted():
     assert (thickness() != 1).any() and (thickness(find_depth=True) != 1).any()
     for options in [{"find_depth": False}, {"quality": "realtime"}, {"motion": "network"}]:
         assert (thickness(**options) == 1).all(), options
+    # A picture that does not change has a guessed depth alone, which needs a request.
+    keys = [(keys[0][0], 0.0), (keys[0][0], 1.0)]
+    assert (thickness() == 1).all() and (thickness(guess_depth=True) != 1).any()
+    assert (thickness(guess_depth=True, quality="realtime") != 1).any()
+    for options in [{"find_depth": False}, {"motion": "network"}]:
+        with pytest.raises(ValueError, match="guess_depth: expected find_depth"):
+            streamsplat_cpu.Engine(guess_depth=True, **options)
+    keys = [pair for i, pair in enumerate(streamsplat_cpu.Frames(CLIP)) if i in (0, 4)]
     # Gaussians are added behind the foreground.
     assert len(thickness()) > len(thickness(behind="off"))
 

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use streamsplat::scene::{resume_point_from_safetensors, resume_point_to_safetensors};
 use streamsplat::stream::{FlowEffort, Interval, ModelSource, MotionFrom, Quality, Record, Reference, Reuse};
 use streamsplat::{Camera, Engine, Frame, RenderOptions, Settings};
-use streamsplat_fixtures::clip::cards::Cards;
+use streamsplat_fixtures::clip::cards::{Body, Cards, Moves};
 use streamsplat_kernels::Level;
-use streamsplat_tests::turned::{Depth, score};
+use streamsplat_tests::turned::{Depth, score, score_bodies};
 
 const SIZE: [usize; 2] = [72, 128];
 
@@ -114,6 +114,54 @@ fn found_depth_has_the_same_bits_on_every_level_and_thread_count() {
         for level in Level::available() {
             for threads in [1, 3] {
                 assert!(same(&first, &run(&settings(level, threads), &frames).0), "{level:?} {threads} {flow:?}");
+            }
+        }
+    }
+}
+
+/// A body in front of a camera that only turns, or does not move at all.
+fn bodies(turning: f64, size: [usize; 2]) -> Vec<Cards> {
+    let moves = Moves { sideways: 0.0, turning, body: 0.9 };
+    (0..3).map(|seed| Cards::with_body(seed, size, Body::Person, moves, &[])).collect()
+}
+
+#[test]
+fn a_body_seen_from_the_side_is_truer_with_a_guess() {
+    for turning in [0.0, 18.0] {
+        let scenes = bodies(turning, [144, 256]);
+        let times = [0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0];
+        let [found, guessed] = [Depth::FoundInScale, Depth::GuessedInScale]
+            .map(|depth| score_bodies(&Settings::default(), &scenes, depth, &times, 10.0, |_, _, _| ()));
+        println!("found   {found:?}\nguessed {guessed:?}");
+        assert_eq!(guessed.found, 3);
+        assert!(guessed.around > found.around.max(guessed.card[0]) + 2.0, "{} dB", guessed.around);
+        assert!(guessed.invented < 0.7 * found.invented, "{} of the pixels", guessed.invented);
+    }
+}
+
+#[test]
+fn guessed_depth_is_counted_has_the_same_bits_everywhere_and_needs_a_request() {
+    for turning in [0.0, 9.0] {
+        let scene = &bodies(turning, SIZE)[1];
+        let frames: Vec<Frame> = [0.0, 0.5, 1.0].map(|time| frame(scene.straight(time).rgb)).into();
+        assert!(!found(&run(&finding(), &frames).1), "nothing is guessed");
+        let guessing = |level, threads| Settings { level: Some(level), threads, guess_depth: Some(true), ..finding() };
+        let (first, engine) = run(&guessing(Level::scalar(), 1), &frames);
+        assert!(found(&engine));
+        assert_eq!(engine.work().stage("guess").map(|stage| stage.done), Some(2));
+        let lifted = |engine: &Engine| engine.work().stage("lift").map(|stage| stage.done);
+        assert_eq!(lifted(&engine), Some(3));
+        // A picture that repeats itself from the start on is guessed as well; both key frames share what is lifted.
+        let (_, frozen) = run(&guessing(Level::scalar(), 1), &[frames[0].clone(), frames[0].clone()]);
+        assert_eq!((found(&frozen), lifted(&frozen)), (true, Some(1)));
+        // A stream that is resumed has the same intervals.
+        let (_, start) = run(&guessing(Level::scalar(), 1), &frames[..2]);
+        let mut rest = Engine::new(guessing(Level::scalar(), 1)).expect("starts");
+        rest.resume(&start.resume_point().expect("a point"), frames[1].clone()).expect("resumed");
+        assert!(same(&first[2..], &[rest.push(frames[2].clone(), 2.0).expect("taken")]));
+        for level in Level::available() {
+            for threads in [1, 3] {
+                assert!(same(&first, &run(&guessing(level, threads), &frames).0), "{level:?} {threads} {turning}");
             }
         }
     }

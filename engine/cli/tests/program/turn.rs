@@ -278,3 +278,44 @@ fn motions_that_cannot_be_are_wrong_use() {
     let record = json(&scene.join("run.json"));
     assert!(record["task"].to_string().find("orbit").is_none(), "nothing is said where nothing moves");
 }
+
+#[test]
+fn a_turned_run_in_which_no_depth_is_found_names_the_guess() {
+    let scratch = Scratch::new();
+    // A camera that does not move.
+    let folder = scratch.path("standing");
+    std::fs::create_dir(&folder).expect("a folder");
+    for k in 0..3_u8 {
+        let picture = image::RgbImage::from_fn(96, 64, |x, y| {
+            let noise = (x * 37 + y * 91 + x * y * 13) % 101;
+            image::Rgb([noise as u8 + 60 + k, (2 * x) as u8, (3 * y) as u8])
+        });
+        picture.save(folder.join(format!("{k}.png"))).expect("written");
+    }
+    for (depth, hinted) in [("auto", true), ("none", false), ("guess", false)] {
+        let mut run = command();
+        run.arg("run").arg(&folder).args(["--gap", "1", "--orbit", "8", "--still", "keep", "--depth", depth, "--out"]);
+        let output = run.arg(scratch.path(depth)).output().expect("the program starts");
+        ok(&output);
+        let text = String::from_utf8(output.stderr).expect("text");
+        assert_eq!(
+            text.contains("no depth was found, so the turned scene is a flat card; --depth guess"),
+            hinted,
+            "{depth}: {text}"
+        );
+        let unkept = text.contains("--still changes nothing with --depth guess");
+        assert_eq!(unkept, depth == "guess", "{depth}: {text}");
+        let guessed = &json(&scratch.path(depth).join("run.json"))["work"]["guess"]["done"];
+        assert_eq!(guessed.as_u64(), Some(if depth == "guess" { 2 } else { 0 }), "{depth}");
+    }
+    // A model without motion from frames guesses nothing, which is told.
+    let mut run = command();
+    run.arg("run").arg(&folder).args(["--gap", "1", "--motion", "network", "--depth", "guess", "--out"]);
+    let output = run.arg(scratch.path("network")).output().expect("the program starts");
+    ok(&output);
+    let text = String::from_utf8(output.stderr).expect("text");
+    assert!(
+        text.contains("--depth guess changes nothing: the model reads depth, or motion is the network's"),
+        "{text}"
+    );
+}

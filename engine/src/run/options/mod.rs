@@ -155,9 +155,10 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, conflicts_with = "quality"))]
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         pub like_paper: bool,
-        /// Inverse depth: none, auto (found by parallax where the camera moves, for models that ignore depth), a folder
-        /// of EXR, TIFF, 16-bit PNG or NPY files, one per frame, or onnx:FILE, a network that ONNX Runtime runs
-        #[cfg_attr(feature = "clap", arg(long, value_name = "auto|DIR|onnx:FILE"))]
+        /// Inverse depth: none, auto (found by parallax where the camera moves, for models that ignore depth), guess
+        /// (auto, and without parallax a ground with moving bodies upright on it; static regions are not kept), a
+        /// folder of EXR, TIFF, 16-bit PNG or NPY files, one per frame, or onnx:FILE, a network that ONNX Runtime runs
+        #[cfg_attr(feature = "clap", arg(long, value_name = "SOURCE"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub depth: Option<DepthSource>,
         /// Properties of the depth network that are not in its file: size=N or WxH, multiple=N, mean=R/G/B,

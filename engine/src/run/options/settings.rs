@@ -10,7 +10,7 @@ use crate::fit::Fit;
 use crate::gap::Gap;
 use crate::run::record::ModelRecord;
 use crate::run::{Error, digest};
-use crate::stream::{DepthRange, Fusion, MaxAge, ModelSource, MotionFrom, Settings, Workers};
+use crate::stream::{DepthRange, Fusion, MaxAge, ModelSource, MotionFrom, Settings, StaticRegions, Workers};
 
 /// Source of depth.
 #[derive(Clone, Debug, PartialEq)]
@@ -19,6 +19,8 @@ pub enum DepthFrom {
     None,
     /// Parallax, where the camera moves.
     Found,
+    /// The same, and a guess where there is no parallax.
+    Guessed,
     /// A folder of maps.
     Folder(PathBuf, Range, Values),
     /// A network.
@@ -96,9 +98,12 @@ impl RunOptions {
         let moves = motion.orbit.is_some() || motion.sway.is_some() || motion.turntable.is_some();
         let pairwise = all.fusion == Some(Fusion::Pairwise);
         let network = all.motion == Some(MotionFrom::Network);
+        let guessed = all.depth == Some(DepthSource::Guess) && given.model.model.is_none() && !network;
+        let kept = given.still.is_some_and(|still| still != StaticRegions::Off);
         let unused = [
             ("--depth-range", given.depth_range.is_some() && !maps, "without a folder of depth maps"),
             ("--behind", given.behind.is_some() && flat, "without depth"),
+            ("--still", kept && guessed, "with --depth guess"),
             ("--max-age", given.max_age.is_some() && pairwise, "with --fusion pairwise"),
             ("--flow", given.flow.is_some() && network, "with --motion network"),
             ("--refine-every", given.refine_every.is_some() && unfitted, "with --refine 0"),
@@ -151,7 +156,7 @@ impl StreamOptions {
                 return Ok(DepthFrom::Network(network.clone(), options.unwrap_or_default()));
             }
             DepthSource::Folder(folder) => Some(folder),
-            DepthSource::None | DepthSource::Auto => None,
+            DepthSource::None | DepthSource::Auto | DepthSource::Guess => None,
         };
         let values = match (&self.depth_model, folder) {
             (None, _) => Values::Inverse,
@@ -162,11 +167,15 @@ impl StreamOptions {
             }
         };
         let Some(folder) = folder else {
-            return Ok(if self.depth == Some(DepthSource::Auto) { DepthFrom::Found } else { DepthFrom::None });
+            return Ok(match self.depth {
+                Some(DepthSource::Auto) => DepthFrom::Found,
+                Some(DepthSource::Guess) => DepthFrom::Guessed,
+                _ => DepthFrom::None,
+            });
         };
         if !folder.is_dir() {
             return Err(Error::usage(format!(
-                "--depth {}: expected none, auto, a folder of depth maps, or onnx:FILE",
+                "--depth {}: expected none, auto, guess, a folder of depth maps, or onnx:FILE",
                 folder.display()
             )));
         }
@@ -198,7 +207,8 @@ impl StreamOptions {
             refine_to: self.refine_to,
             detail: self.detail,
             refine: self.refine,
-            find_depth: Some(depth == DepthFrom::Found),
+            find_depth: Some(matches!(depth, DepthFrom::Found | DepthFrom::Guessed)),
+            guess_depth: Some(depth == DepthFrom::Guessed),
             depth_range,
             behind: self.behind.unwrap_or_default(),
             still: self.still,

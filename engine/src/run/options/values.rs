@@ -100,6 +100,8 @@ pub enum DepthSource {
     None,
     /// Parallax, where the camera moves and the model ignores depth.
     Auto,
+    /// The same, and a guess where there is no parallax.
+    Guess,
     /// A folder of maps, one per frame.
     Folder(PathBuf),
     /// A network in an ONNX file.
@@ -111,6 +113,7 @@ impl fmt::Display for DepthSource {
         match self {
             DepthSource::None => f.write_str("none"),
             DepthSource::Auto => f.write_str("auto"),
+            DepthSource::Guess => f.write_str("guess"),
             DepthSource::Folder(path) => path.display().fmt(f),
             DepthSource::Network(path) => write!(f, "onnx:{}", path.display()),
         }
@@ -120,11 +123,12 @@ impl fmt::Display for DepthSource {
 impl FromStr for DepthSource {
     type Err = Infallible;
 
-    /// `none`, `auto`, `onnx:FILE`, or a folder.
+    /// `none`, `auto`, `guess`, `onnx:FILE`, or a folder.
     fn from_str(text: &str) -> Result<Self, Infallible> {
         Ok(match (text, text.strip_prefix("onnx:")) {
             ("none", _) => DepthSource::None,
             ("auto", _) => DepthSource::Auto,
+            ("guess", _) => DepthSource::Guess,
             (_, Some(file)) => DepthSource::Network(file.into()),
             (folder, None) => DepthSource::Folder(folder.into()),
         })
@@ -392,7 +396,7 @@ mod tests {
         again::<Times>(&["0,0.5,2", "0:0.3:7"]);
         again::<Background>(&["0.5", "0.25", "0.1,0.2,0.3", "transparent"]);
         again::<Swing>(&["4", "-20:2.5"]);
-        again::<DepthSource>(&["none", "auto", "maps", "onnx:a.onnx"]);
+        again::<DepthSource>(&["none", "auto", "guess", "maps", "onnx:a.onnx"]);
         again::<DepthModel>(&["metric", "size=518,multiple=14"]);
         again::<NamedMatrix>(Matrix::NAMES);
         again::<Isa>(&["auto", "scalar"]);
