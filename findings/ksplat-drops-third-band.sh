@@ -27,7 +27,7 @@ for (const degree of asked) {
   const buffer = await PlyLoader.loadFromFileData(bytes.slice(0), 1, 0, true, degree);
   stored.push(buffer.getMinSphericalHarmonicsDegree());
 }
-console.log(`asked for ${asked.join(' ')}, stored ${stored.join(' ')}`);
+console.log(`requested ${asked.join(' ')}, stored ${stored.join(' ')}`);
 END
 found=$(node --no-deprecation try.mjs)
 echo "$found"
