@@ -3,8 +3,8 @@
 CLIPS is a folder of clips, each a folder of images. Clip by clip and round by round, each program runs `run CLIP --threads 2 --emit rgb --out FILE.y4m` in
 turn, in the opposite order in every second round. With `--y4m` it reads the clip as YUV4MPEG2 of 4:2:0, which FFmpeg makes first. For each clip and program
 are printed the medians of wall clock, processor time and peak memory, the median over rounds of the first program's wall clock divided by this one's, the
-PSNR of its images (mean over frames, at the source's own size, from one more run, of the folder to PNG files), and the digest of the video. It ends with the
-median of these ratios over clips. A program whose video differs from round to round is an error.
+PSNR of its images (mean over frames and least of them, at the source's own size, from one more run, of the folder to PNG files), and the digest of the video.
+It ends with the median of these ratios over clips. A program whose video differs from round to round is an error.
 """
 
 import argparse
@@ -47,13 +47,14 @@ def as_y4m(clip, folder):
 
 
 def psnr(program, clip, quality):
-    """Mean over frames of the PSNR of the images that `program` draws."""
+    """Mean over frames, and least, of the PSNR of the images that `program` draws."""
     truth = frames(clip)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder, 'out')
         subprocess.run([program, 'run', clip, '--quality', quality, '--emit', 'rgb', '--size', 'source', '--out', out, '--quiet'], check=True)
         count = len(list((out / 'frames').iterdir()))
-        return statistics.mean(db(error) for error in errors(frames(out / 'frames'), truth, count))
+        all_frames = [db(error) for error in errors(frames(out / 'frames'), truth, count)]
+        return statistics.mean(all_frames), min(all_frames)
 
 
 def main():
@@ -89,11 +90,11 @@ def main():
             row |= {'clip': clip.name, 'program': program, 'ratio': statistics.median(ratios), 'ratios': ratios, 'video': digests[program]}
             # In a process of its own: a child's peak memory is at least what its parent has ever had.
             with concurrent.futures.ProcessPoolExecutor(1, multiprocessing.get_context('spawn')) as apart:
-                row['psnr'] = apart.submit(psnr, program, clip, options.quality).result()
+                row['psnr'], row['least'] = apart.submit(psnr, program, clip, options.quality).result()
             rows.append(row)
             spread = f'{min(ratios):.2f} to {max(ratios):.2f}'
             print(f'{clip.name:24} {row["wall"]:6.2f} s {row["cpu"]:6.2f} s {row["memory"]:5.0f} MiB {row["ratio"]:5.2f} ({spread}) '
-                  f'{row["psnr"]:.2f} dB {row["video"]} {program}', flush=True)
+                  f'{row["psnr"]:.2f} dB, least {row["least"]:.2f} {row["video"]} {program}', flush=True)
     medians = {}
     for program in options.programs:
         medians[program] = statistics.median(row['ratio'] for row in rows if row['program'] == program)

@@ -1,6 +1,6 @@
 //! Choice of the input frames that become key frames.
 //!
-//! [`Gap::Every`] takes every n-th. [`Gap::Auto`] takes as few key frames as a run's images require for a target PSNR.
+//! [`Gap::Every`] takes every n-th. [`Gap::Auto`] takes as few key frames as each interval requires for a target PSNR.
 //! As each frame arrives, the frames between the last key frame and it are predicted from these two
 //! ([`interpolation`]). From that and from the PSNR of earlier intervals, the PSNR of the interval's images is
 //! predicted ([`control`]). Where it is below the target, the frame before becomes a key frame. A cut has a key frame
@@ -54,7 +54,7 @@ pub struct Auto {
     pub least: usize,
     /// The largest gap: it bounds the latency.
     pub most: usize,
-    /// Mean peak signal-to-noise ratio required of the images of all frames, in dB.
+    /// Peak signal-to-noise ratio required of each interval's images, the mean over its frames, in dB.
     pub decibels: f64,
 }
 

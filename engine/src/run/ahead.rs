@@ -67,8 +67,7 @@ impl Ahead {
     /// Sends how close the images of the latest key frame's interval are to its frames.
     pub fn tell(&mut self, found: &Found, closeness: &Closeness) {
         if let Some((teller, choices)) = &mut self.choices {
-            let (sum, frames) = closeness.compared();
-            choices.found(found, sum, frames);
+            choices.found(found, closeness.total());
             // Once the reader has ended there is nothing left to choose.
             let _ = teller.send(*found);
         }

@@ -3,10 +3,11 @@
 use std::collections::VecDeque;
 
 use crate::gap::{ControlState, Found};
+use crate::run::closeness::Total;
 use serde::{Deserialize, Serialize};
 
 /// Key frames chosen so far, and the state on which the next choices depend.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Choices {
     /// Frames from each key frame to the next.
     pub gaps: Vec<usize>,
@@ -14,8 +15,15 @@ pub struct Choices {
     pub state: ControlState,
     /// Results since then: PSNR of the key frame and of the frames in between, as bits, and the number of frames.
     recent: VecDeque<(u64, Option<u64>, usize)>,
-    /// The sum of PSNR over all frames compared, as bits, and their number.
-    compared: (u64, usize),
+    /// PSNR of all frames compared ([`Total::stored`]).
+    compared: (u64, usize, u64),
+}
+
+impl Default for Choices {
+    fn default() -> Choices {
+        let (gaps, state, recent) = Default::default();
+        Choices { gaps, state, recent, compared: Total::default().stored() }
+    }
 }
 
 impl Choices {
@@ -31,13 +39,13 @@ impl Choices {
     }
 
     /// Records the result of an interval. The last two are kept, since the next choice may not have used them yet.
-    /// `sum` is the sum of PSNR over all frames compared so far, `frames` their number.
-    pub fn found(&mut self, found: &Found, sum: f64, frames: usize) {
+    /// `total` is that of all frames compared so far.
+    pub fn found(&mut self, found: &Found, total: Total) {
         self.recent.push_back((found.key.to_bits(), found.between.map(f64::to_bits), found.frames));
         if self.recent.len() > 2 {
             self.recent.pop_front();
         }
-        self.compared = (sum.to_bits(), frames);
+        self.compared = total.stored();
     }
 
     /// Results since the last choice.
@@ -49,8 +57,8 @@ impl Choices {
         })
     }
 
-    /// The sum of PSNR over all frames compared, in dB, and their number.
-    pub fn compared(&self) -> (f64, usize) {
-        (f64::from_bits(self.compared.0), self.compared.1)
+    /// PSNR of all frames compared.
+    pub fn compared(&self) -> Total {
+        Total::resume(self.compared)
     }
 }

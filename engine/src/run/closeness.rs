@@ -40,26 +40,59 @@ impl Truth {
     }
 }
 
+/// PSNR of the images of all frames so far.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Total {
+    /// Sum over frames, in dB.
+    sum: f64,
+    frames: usize,
+    /// That of the worst frame, in dB.
+    least: f64,
+}
+
+impl Default for Total {
+    fn default() -> Total {
+        Total { sum: 0.0, frames: 0, least: f64::INFINITY }
+    }
+}
+
+impl Total {
+    fn add(&mut self, psnr: f64) {
+        self.sum += psnr;
+        self.frames += 1;
+        self.least = self.least.min(psnr);
+    }
+
+    /// The mean over frames and the least of them, in dB; `None` before the first.
+    pub fn figures(&self) -> Option<[f64; 2]> {
+        (self.frames > 0).then(|| [self.sum / self.frames as f64, self.least])
+    }
+
+    /// The sum and the least as bits, around the number of frames.
+    pub fn stored(&self) -> (u64, usize, u64) {
+        (self.sum.to_bits(), self.frames, self.least.to_bits())
+    }
+
+    /// Continues from what was [stored](Self::stored).
+    pub fn resume((sum, frames, least): (u64, usize, u64)) -> Total {
+        Total { sum: f64::from_bits(sum), frames, least: f64::from_bits(least) }
+    }
+}
+
 /// PSNR of images of the source's own size, as they are written, where that is not the size at which the model sees
 /// it. Samples of 8 bits are compared.
 #[derive(Debug, Default)]
 pub struct Whole {
     /// Frames whose images are not drawn yet, by their numbers.
     waiting: BTreeMap<usize, Vec<u8>>,
-    /// Sum over all frames of PSNR, in dB.
-    sum: f64,
-    frames: usize,
+    /// Those compared so far.
+    pub total: Total,
 }
 
 impl Whole {
-    /// Continues from a sum of PSNR, as bits, over `frames` frames.
-    pub fn resume((sum, frames): (u64, usize)) -> Whole {
-        Whole { waiting: BTreeMap::new(), sum: f64::from_bits(sum), frames }
-    }
-
-    /// Returns the argument for [`Whole::resume`].
-    pub fn compared(&self) -> (u64, usize) {
-        (self.sum.to_bits(), self.frames)
+    /// Continues from a [`Total`], as it was stored.
+    pub fn resume(total: (u64, usize, u64)) -> Whole {
+        Whole { waiting: BTreeMap::new(), total: Total::resume(total) }
     }
 
     /// Keeps a frame until its image is drawn.
@@ -71,14 +104,8 @@ impl Whole {
     pub fn compare(&mut self, index: usize, image: &Picture) {
         let Some(truth) = self.waiting.remove(&index) else { return };
         if let Some(psnr) = psnr_of_samples(&image.to_rgb8(), &truth) {
-            self.sum += psnr;
-            self.frames += 1;
+            self.total.add(psnr);
         }
-    }
-
-    /// Mean PSNR over all frames compared so far, in dB.
-    pub fn mean(&self) -> Option<f64> {
-        (self.frames > 0).then(|| self.sum / self.frames as f64)
     }
 }
 
@@ -110,9 +137,7 @@ pub struct Closeness {
     drawn: Vec<(f64, f64)>,
     /// True if all images are such; false if all are drawn here.
     shared: bool,
-    /// Sum over all frames of PSNR, in dB.
-    sum: f64,
-    frames: usize,
+    total: Total,
     time: Duration,
 }
 
@@ -131,7 +156,15 @@ impl Closeness {
     pub fn new(workers: &Workers) -> Result<Closeness, Error> {
         let drawing = Drawing::new(workers, Backend::Cpu)?;
         let (views, drawn) = (Views::own(), Vec::new());
-        Ok(Closeness { drawing, views, size: None, drawn, shared: false, sum: 0.0, frames: 0, time: Duration::ZERO })
+        Ok(Closeness {
+            drawing,
+            views,
+            size: None,
+            drawn,
+            shared: false,
+            total: Total::default(),
+            time: Duration::ZERO,
+        })
     }
 
     /// Compares an image of `views` with its frame among `truths`, if [`Closeness::of`] would draw the same image.
@@ -174,22 +207,16 @@ impl Closeness {
         }
         self.drawn.clear();
         self.size = truths.last().map(|truth| truth.size).or(self.size);
-        self.sum += ratios.iter().sum::<f64>();
-        self.frames += ratios.len();
+        ratios.iter().for_each(|psnr| self.total.add(*psnr));
         self.time += start.elapsed();
         let Some(key) = ratios.pop() else { return Ok(None) };
         let between = (!ratios.is_empty()).then(|| ratios.iter().sum::<f64>() / ratios.len() as f64);
         Ok(Some(Found { key, between, frames: ratios.len() + 1 }))
     }
 
-    /// Sum of PSNR over all frames compared so far, in dB, and their number.
-    pub fn compared(&self) -> (f64, usize) {
-        (self.sum, self.frames)
-    }
-
-    /// Mean PSNR over all frames compared so far, in dB.
-    pub fn mean(&self) -> Option<f64> {
-        (self.frames > 0).then(|| self.sum / self.frames as f64)
+    /// The frames compared so far.
+    pub fn total(&self) -> Total {
+        self.total
     }
 
     /// Width and height of the images compared so far; `None` before the first.
@@ -199,12 +226,12 @@ impl Closeness {
 
     /// Continues from these choices.
     pub fn resume(&mut self, choices: &Choices) {
-        (self.sum, self.frames) = choices.compared();
+        self.total = choices.compared();
     }
 
     /// Adds the comparisons to the account.
     pub fn account(&self, work: &mut BTreeMap<String, WorkRecord>, seconds: &mut BTreeMap<String, f64>) {
-        let frames = self.frames as u64;
+        let frames = self.total.frames as u64;
         let record = WorkRecord { done: frames, avoided: 0, unit: "frames".to_owned() };
         work.insert("compare".to_owned(), record);
         let [done, avoided] = if self.shared { [0, frames] } else { [frames, 0] };

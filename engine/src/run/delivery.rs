@@ -157,7 +157,7 @@ impl Delivery {
             span: self.span.unwrap_or_default(),
             times: self.times,
             choices: self.keys.choices().cloned(),
-            whole: self.whole.as_ref().map(Whole::compared),
+            whole: self.whole.as_ref().map(|whole| whole.total.stored()),
             work,
             dropped: self.dropped,
             drawn: self.drawing.counts.clone(),

@@ -68,6 +68,9 @@ pub struct Record {
     /// Mean PSNR of the same images at the source's own size, in dB, where they are of that size.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub psnr_source_size: Option<f64>,
+    /// PSNR of the worst frame's image at the source's own size, or else at the size at which the model sees it, in dB.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub psnr_least: Option<f64>,
     /// Measurements that differ from run to run.
     pub timing: Timing,
 }
@@ -442,6 +445,7 @@ mod tests {
             psnr: None,
             psnr_size: None,
             psnr_source_size: None,
+            psnr_least: None,
             timing: Timing { total: 0.1, threads: 2, isa: "avx2".into(), ..Timing::default() },
         };
         let render = Record {

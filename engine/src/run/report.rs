@@ -44,7 +44,8 @@ pub fn summary(record: &Record, out: &Path) -> String {
     let keys = record.key_frames.map(|keys| format!(", {}", count(keys, "key frame"))).unwrap_or_default();
     let sizes = closeness(record).map(|(psnr, [width, height])| format!("{psnr:.1} dB at {width}×{height}"));
     let sizes = sizes.collect::<Vec<_>>().join(" and ");
-    let psnr = if sizes.is_empty() { sizes } else { format!(", {sizes} over all frames") };
+    let least = record.psnr_least.map(|least| format!(", {least:.1} dB in the worst")).unwrap_or_default();
+    let psnr = if sizes.is_empty() { sizes } else { format!(", {sizes} over all frames{least}") };
     // A rendering's input is counted in intervals.
     let (each, what) = match record.task {
         Invocation::Run(_) => (total / record.input.count.max(1) as f64, "frame"),
@@ -105,8 +106,11 @@ fn write_markdown(record: &Record, out: &mut String) -> std::fmt::Result {
         writeln!(out, "| renderer | {}: its images are outside of the bit contract |", record.renderer)?;
     }
     writeln!(out, "| output | {} images, {} files |", images(record), record.outputs.len())?;
+    let mut least = record.psnr_least.map(|least| format!(", {least:.2} dB in the worst frame"));
     for (psnr, [width, height]) in closeness(record) {
-        writeln!(out, "| closeness | {psnr:.2} dB, mean PSNR of all frames at {width}×{height} |")?;
+        // The worst frame is that of the first size.
+        let least = least.take().unwrap_or_default();
+        writeln!(out, "| closeness | {psnr:.2} dB, mean PSNR of all frames at {width}×{height}{least} |")?;
     }
     if record.dropped > 0 {
         writeln!(out, "| left out | {} Gaussians with numbers that are not finite |", record.dropped)?;

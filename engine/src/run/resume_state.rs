@@ -59,9 +59,9 @@ pub struct Point {
     /// The key frames chosen so far, where they depend on how close images are to frames.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub choices: Option<Choices>,
-    /// The sum of PSNR at the source's size over all frames compared, as bits, and their number.
+    /// PSNR at the source's size of all frames compared ([`Total::stored`](super::closeness::Total::stored)).
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub whole: Option<(u64, usize)>,
+    pub whole: Option<(u64, usize, u64)>,
     /// The engine's account.
     pub work: BTreeMap<String, WorkRecord>,
     /// Gaussians left out by the engine.

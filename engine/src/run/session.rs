@@ -426,7 +426,9 @@ impl Session {
             seconds.insert("depth".into(), network.time.as_secs_f64());
         }
         let psnr_size = closeness.as_ref().and_then(Closeness::size);
-        let at_source_size = closeness.as_ref().filter(|_| psnr_size == Some(read.size));
+        let figures = closeness.as_ref().and_then(|closeness| closeness.total().figures());
+        let at_source_size = figures.filter(|_| psnr_size == Some(read.size));
+        let at_source_size = whole.and_then(|whole| whole.total.figures().or(at_source_size));
         let options = with_absolute_paths(&task.options);
         let network = options.stream.depth_network().zip(read.network.as_ref());
         let depth = network.map(|(file, network)| NetworkRecord::of(file, &network.runtime)).transpose()?;
@@ -446,9 +448,10 @@ impl Session {
             dropped: dropped + drawing.counts.dropped,
             image_size: drawing.counts.size,
             key_frames: Some(key),
-            psnr: closeness.as_ref().and_then(Closeness::mean),
+            psnr: figures.map(|[mean, _]| mean),
             psnr_size,
-            psnr_source_size: whole.and_then(|whole| whole.mean().or_else(|| at_source_size?.mean())),
+            psnr_source_size: at_source_size.map(|[mean, _]| mean),
+            psnr_least: at_source_size.or(figures).map(|[_, least]| least),
             timing: Timing::of(start, seconds, engine.workers()),
         };
         Ok((record, place))

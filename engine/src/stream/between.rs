@@ -8,7 +8,8 @@ use std::sync::Arc;
 use streamsplat_kernels::Level;
 use streamsplat_kernels::flow::{self, Blend, Field, Lumas, Pyramid, Step};
 
-use super::colours::Target;
+use super::colours::{Pixels, Target};
+use super::keep::Blocks;
 use super::keyframe::KeyView;
 use super::lift::{DepthMap, Link};
 use super::motion::along_flow;
@@ -35,6 +36,28 @@ pub(super) struct Seen {
     /// `[3, H, W]`
     pub(super) rgb: Arc<Vec<f32>>,
     flow: Option<FlowView>,
+}
+
+/// A frame that flow leaves out, and the blocks in which colours are fitted to it nevertheless.
+pub(super) struct Partial {
+    /// Its time in the interval.
+    pub(super) t: f32,
+    /// `[3, H, W]`
+    pub(super) rgb: Arc<Vec<f32>>,
+    blocks: Blocks,
+    differs: Vec<bool>,
+}
+
+impl Partial {
+    /// The frame as a target of the colour fit.
+    pub(super) fn target(&self) -> Target<'_> {
+        Target { t: self.t, rgb: &self.rgb, within: Some(self) }
+    }
+
+    /// Returns true if colours are fitted in the block that holds this rectangle.
+    pub(super) fn counts_in(&self, [rows, columns]: &Pixels) -> bool {
+        self.differs[self.blocks.holding([rows.start, columns.start])]
+    }
 }
 
 /// Flow through an interval.
@@ -265,6 +288,9 @@ fn first(count: usize, every: usize) -> usize {
 
 /// Fewer frames in between than this are all used: intervals are short where much moves.
 const MANY: usize = 4;
+/// Greatest difference of a block from the mean of the frames before and after, as a root of the mean square, up to
+/// which these two suffice for its colours.
+const ALIKE: f64 = 10.0 / 255.0;
 
 /// Every second one of an interval's frames in between, where there are [`MANY`], not prepared for flow.
 pub(super) fn every_second(between: &[Seen]) -> Vec<Seen> {
@@ -272,17 +298,38 @@ pub(super) fn every_second(between: &[Seen]) -> Vec<Seen> {
     between.iter().skip(first).step_by(step).map(Seen::unprepared).collect()
 }
 
+/// The frames that [`every_second`] leaves out between key frames `[a, b]`, with the blocks where they are not
+/// [`ALIKE`] the mean of their neighbours, weighted by time. Frames without such blocks are not returned.
+pub(super) fn left_out(blocks: Blocks, [a, b]: [&[f32]; 2], between: &[Seen]) -> Vec<Partial> {
+    if between.len() < MANY {
+        return Vec::new();
+    }
+    let picture = |i: Option<usize>| match i.map(|i| between.get(i)) {
+        None => (0.0, a),
+        Some(None) => (1.0, b),
+        Some(Some(seen)) => (seen.t, &seen.rgb[..]),
+    };
+    let partial = |(i, seen): (usize, &Seen)| {
+        let [(start, one), (end, other)] = [i.checked_sub(1), Some(i + 1)].map(picture);
+        let part = if start < end { (seen.t - start) / (end - start) } else { 0.5 };
+        let mean: Vec<f32> = one.iter().zip(other).map(|(x, y)| part.mul_add(y - x, *x)).collect();
+        let differs = blocks.differing(&seen.rgb, &mean, ALIKE);
+        differs.contains(&true).then(|| Partial { t: seen.t, rgb: seen.rgb.clone(), blocks, differs })
+    };
+    between.iter().enumerate().step_by(2).filter_map(partial).collect()
+}
+
 /// Every `every`-th frame in between as a target of the colour fit.
 pub(super) fn targets(between: &[Seen], every: usize) -> Vec<Target<'_>> {
     let first = first(between.len(), every);
-    between.iter().skip(first).step_by(every).map(|seen| Target { t: seen.t, rgb: &seen.rgb }).collect()
+    between.iter().skip(first).step_by(every).map(|seen| Target { t: seen.t, rgb: &seen.rgb, within: None }).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
 
-    use super::{Seen, every_second};
+    use super::{Blocks, Seen, every_second, left_out};
 
     #[test]
     fn every_second_frame_is_used_of_many() {
@@ -292,5 +339,30 @@ mod tests {
         };
         assert_eq!([of(0), of(1), of(3)], [vec![], vec![1], vec![1, 2, 3]]);
         assert_eq!([of(4), of(5), of(7)], [vec![2, 4], vec![2, 4], vec![2, 4, 6]]);
+    }
+
+    #[test]
+    fn frames_left_out_count_where_their_neighbours_do_not_show_them() {
+        let size = [32, 48];
+        let plane = size[0] * size[1];
+        // All becomes brighter in even steps. In the third of five frames one block is white.
+        let picture = |k: usize| -> Vec<f32> {
+            let white = |i: usize| k == 3 && i % plane / size[1] >= 16 && (16..32).contains(&(i % size[1]));
+            (0..3 * plane).map(|i| if white(i) { 1.0 } else { 0.1 * k as f32 }).collect()
+        };
+        let seen = |k: usize| Seen { t: k as f32 / 6.0, rgb: Arc::new(picture(k)), flow: None };
+        let between: Vec<Seen> = (1..6).map(seen).collect();
+        let (first, last) = (picture(0), picture(6));
+        let blocks = Blocks::of(size).expect("whole cells");
+        let found = left_out(blocks, [&first, &last], &between);
+        assert_eq!(found.iter().map(|partial| partial.t).collect::<Vec<_>>(), [0.5]);
+        assert_eq!(found[0].differs, [false, false, false, false, true, false]);
+        assert!(found[0].counts_in(&[16..20, 28..32]) && !found[0].counts_in(&[12..16, 28..32]));
+        // Short intervals use all frames.
+        assert!(left_out(blocks, [&first, &last], &between[1..4]).is_empty());
+        // Two frames at one time have their middle for a mean.
+        let same = |k: usize| Seen { t: 0.0, ..seen(k) };
+        let found = left_out(blocks, [&first, &last], &(1..6).map(same).collect::<Vec<_>>());
+        assert!(found.iter().any(|partial| partial.differs[4]), "{}", found.len());
     }
 }

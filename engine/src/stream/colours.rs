@@ -24,6 +24,7 @@ use streamsplat_kernels::raster::{
 };
 use streamsplat_model::StaticGaussians;
 
+use super::between::Partial;
 use super::gaussians::deviations;
 use super::{DynamicGaussians, Reference};
 use crate::stream::Snapshot;
@@ -88,6 +89,8 @@ pub(super) struct Target<'a> {
     pub(super) t: f32,
     /// `[3, H, W]`
     pub(super) rgb: &'a [f32],
+    /// Where it counts, if not everywhere.
+    pub(super) within: Option<&'a Partial>,
 }
 
 /// Returns whether each block of 4×4 pixels is wanted, row by row.
@@ -156,7 +159,7 @@ impl Fitter {
         if targets.is_empty() {
             return (gaussians.rgb_rate.clone(), 0);
         }
-        let wanted = blocks(resolution, wanted);
+        let everywhere = blocks(resolution, wanted);
         // One view after another: only the weights of a view are kept.
         let fitted: Vec<Fitted> = targets
             .iter()
@@ -168,7 +171,9 @@ impl Fitter {
                     false => gaussians.reference[i as usize].tau(target.t),
                 };
                 let factor = view.index.par_iter().map(tau).collect();
-                self.prepare(place, view, factor, resolution, &wanted)
+                let of = |partial: &Partial| blocks(resolution, &|at| partial.counts_in(&at) && wanted(at));
+                let wanted = target.within.map(of);
+                self.prepare(place, view, factor, resolution, wanted.as_ref().unwrap_or(&everywhere))
             })
             .collect();
         // Colours that change already enter with their value halfway.

@@ -10,7 +10,7 @@ use streamsplat_kernels::philox::Stream;
 use streamsplat_model::LoadOptions;
 use streamsplat_model::reuse::{Saving, Tokens};
 
-use super::between::{Flows, Seen, every_second, targets};
+use super::between::{Flows, Partial, Seen, every_second, left_out, targets};
 use super::canonical::{Advance, CanonicalSet, Step};
 use super::colours::{Fitter, Rates, Target};
 use super::keep::{Blocks, Camera, Change, Keeps, Kept, Lattice};
@@ -198,7 +198,7 @@ impl Engine {
         let mut seen = self.seen(between, timestamp, placement);
         let level = self.workers.level();
         let all = seen.len();
-        let (mut keeping, taken) = self.still(&mut view, &mut seen);
+        let Still { mut keeping, mut partial, taken } = self.still(&mut view, &mut seen);
         let mut flows = match &keeping {
             Some(Keeping { kept, .. }) => self.flows_within(kept, &view, &seen, index)?,
             None => self.flows(&mut view, &mut seen, index)?,
@@ -221,7 +221,7 @@ impl Engine {
             && let Some(Taken { rgb, between }) = taken
         {
             // The camera moves after all: lifted Gaussians are not kept, and all frames are used as they came.
-            keeping = None;
+            (keeping, partial) = (None, Vec::new());
             (view.rgb, view.flow, seen) = (rgb, None, between);
             flows = self.flows(&mut view, &mut seen, index)?;
         }
@@ -311,7 +311,8 @@ impl Engine {
                 if let Some(flows) = flows.filter(|_| steps > 0) {
                     let predicted = work.time(Stage::Flow, || flows.predicted(level, views));
                     let mut targets = targets(&seen, every);
-                    targets.extend(predicted.iter().map(|(t, rgb)| Target { t: *t, rgb }));
+                    targets.extend(partial.iter().map(Partial::target));
+                    targets.extend(predicted.iter().map(|(t, rgb)| Target { t: *t, rgb, within: None }));
                     let changing = keeping.as_ref().is_none_or(|keeping| keeping.kept.changing().is_some());
                     let (rates, taken) = work.time(Stage::Colours, || {
                         let fit = Rates {
@@ -350,29 +351,32 @@ impl Engine {
         between.into_iter().map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement)).collect()
     }
 
-    /// What the interval keeps from the key frame before, if that is enough. Where the camera is static, `seen` is then
-    /// every second frame of many, and kept blocks of `view` and `seen` are replaced by their mean. The frames as they
-    /// came are returned where one is changed or left out and depth is searched.
-    fn still(&self, view: &mut KeyView, seen: &mut Vec<Seen>) -> (Option<Keeping>, Option<Taken>) {
-        let nothing = (None, None);
-        let Some(before) = self.state.as_ref().map(|state| &state.view) else { return nothing };
-        let Some((Camera::Static(kept), cells)) = self.camera(view, seen) else { return nothing };
+    /// What an interval before a static camera does not compute. `seen` is then every second frame of many, and kept
+    /// blocks of all frames are replaced by their mean.
+    fn still(&self, view: &mut KeyView, seen: &mut Vec<Seen>) -> Still {
+        let Some(before) = self.state.as_ref().map(|state| &state.view) else { return Still::default() };
+        let Some((Camera::Static(kept), cells)) = self.camera(view, seen) else { return Still::default() };
         let keeping = kept.map(|kept| {
             let keeps = kept.of_cells(&cells, &before.added.moving);
             Keeping { kept, keeps }
         });
         let used = every_second(seen);
+        let mut partial = match Blocks::of(view.resolution()) {
+            Some(blocks) if self.settings.refine_every() == 1 => left_out(blocks, [&before.rgb, &view.rgb], seen),
+            _ => Vec::new(),
+        };
         let replaced = keeping.is_some() || used.len() < seen.len();
         let searched = self.settings.find_depth() && keeping.as_ref().is_none_or(|keeping| !keeping.kept.mostly());
         let between = std::mem::replace(seen, used);
         let taken = (replaced && searched).then(|| Taken { rgb: view.rgb.clone(), between });
         if let Some(Keeping { kept, .. }) = &keeping {
-            for Seen { t, rgb, .. } in seen {
-                kept.show(&before.rgb, *t, Arc::<Vec<f32>>::make_mut(rgb));
+            let partial = partial.iter_mut().map(|Partial { t, rgb, .. }| (*t, rgb));
+            for (t, rgb) in seen.iter_mut().map(|Seen { t, rgb, .. }| (*t, rgb)).chain(partial) {
+                kept.show(&before.rgb, t, Arc::<Vec<f32>>::make_mut(rgb));
             }
             kept.show(&before.rgb, 1.0, &mut view.rgb);
         }
-        (keeping, taken)
+        Still { keeping, partial, taken }
     }
 
     /// The camera over the interval, and the model's own Gaussians; `None` where static regions are not looked for.
@@ -600,6 +604,17 @@ struct Keeping {
     kept: Kept,
     /// What happens to each Gaussian of the key frame before.
     keeps: Keeps,
+}
+
+/// What an interval before a static camera does not compute.
+#[derive(Default)]
+struct Still {
+    /// What it keeps from the key frame before, if that is enough.
+    keeping: Option<Keeping>,
+    /// The frames left out of flow that colours are fitted to in parts.
+    partial: Vec<Partial>,
+    /// The frames as they came, where one is changed or left out and depth is searched.
+    taken: Option<Taken>,
 }
 
 /// An interval's frames as they came.

@@ -55,7 +55,7 @@ impl Quality {
     /// Returns its settings. `docs/choosing.md` has them in a table.
     pub fn preset(self) -> Preset {
         let balanced = Preset {
-            gap: Gap::Auto(Auto { least: 3, most: 8, decibels: 39.0 }),
+            gap: Gap::Auto(Auto { least: 3, most: 8, decibels: 38.0 }),
             resolution: Resolution::Auto,
             motion: MotionFrom::Between,
             flow: FlowEffort::Fine,

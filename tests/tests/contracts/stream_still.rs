@@ -179,6 +179,32 @@ fn levels_threads_and_a_resumed_stream_are_the_same_bits_and_crossing_changes_no
 }
 
 #[test]
+fn frames_that_flow_leaves_out_show_a_body_that_moves_on_every_level() {
+    // Ten pixels a frame, six frames to an interval: flow takes the second and the fourth of five in between.
+    let frame = |k: usize| frame(5 * k, 1.0, true);
+    let stream = |level, threads| {
+        let mut engine =
+            Engine::new(Settings { level: Some(level), threads, ..settings(StaticRegions::Keep) }).expect("starts");
+        let push = |key: usize| {
+            let between = (key.saturating_sub(5)..key).map(|k| (frame(k), k as f64)).collect();
+            engine.push_with(between, frame(key), key as f64).expect("taken")
+        };
+        [0, 6, 12].map(push)
+    };
+    let expected = stream(Level::detect(), 2);
+    for (first, interval) in [(1, &expected[1]), (7, &expected[2])] {
+        let found: Vec<f64> = (first..first + 5).map(|k| psnr(&draw(interval, k as f64), &frame(k))).collect();
+        let [out, used] = [0, 1].map(|from| found.iter().skip(from).step_by(2).copied().fold(f64::INFINITY, f64::min));
+        assert!(out > used - 2.5, "left out {out:.2} dB, used {used:.2} dB: {found:.2?}");
+    }
+    for (level, threads) in Level::available().into_iter().map(|level| (level, 1)) {
+        for (a, b) in expected.iter().zip(&stream(level, threads)) {
+            assert!(bits(&a.gaussians) == bits(&b.gaussians), "interval {}, {level}, {threads} threads", a.index);
+        }
+    }
+}
+
+#[test]
 fn light_that_fades_slowly_is_followed_without_an_error_that_grows() {
     let light = |k: usize| 1.0 - 0.3 * (k as f32 / 160.0);
     let mut engine = Engine::new(settings(StaticRegions::Keep)).expect("starts");

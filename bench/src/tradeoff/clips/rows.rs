@@ -32,9 +32,9 @@ const PARTS: [(&str, &str); 8] = [
 ];
 /// From the fastest to the closest.
 const QUALITIES: [(&str, &str); 3] =
-    [("realtime", "gap 6"), ("balanced", "gap auto:3-8:39, the default"), ("best", "gap 2")];
+    [("realtime", "gap 6"), ("balanced", "gap auto:3-8:38, the default"), ("best", "gap 2")];
 /// Gaps of the grid.
-const GAPS: [&str; 5] = ["2", "3", "5", "8", "auto:3-8:39"];
+const GAPS: [&str; 5] = ["2", "3", "5", "8", "auto:3-8:38"];
 const CHOICES: [&str; 3] =
     ["--flow coarse --refine 3 --refine-every 3 --depth none", "--flow coarse --refine 6 --depth none", "--refine 16"];
 const UNSEEN_GAPS: [usize; 2] = [5, 8];

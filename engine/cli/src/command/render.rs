@@ -378,6 +378,7 @@ pub(super) fn record(
         psnr: None,
         psnr_size: None,
         psnr_source_size: None,
+        psnr_least: None,
         timing: Timing::of(start, seconds, workers),
     })
 }

@@ -118,7 +118,7 @@ fn the_defaults_in_the_help_are_those_of_a_run() {
         compared += 1;
     }
     assert!(compared >= 16, "{used:?}");
-    assert_eq!(used["gap"], "auto:3-8:39");
+    assert_eq!(used["gap"], "auto:3-8:38");
 }
 
 const BEGIN: &str = "<!-- table of ";

@@ -553,6 +553,8 @@ fn closeness_at_the_sources_size_is_that_of_the_images_written() {
     let expected = (0..9).map(psnr).sum::<f64>() / 9.0;
     let found = record["psnr_source_size"].as_f64().expect("a figure");
     assert!((found - expected).abs() < 1e-6, "{found} dB, expected {expected}");
+    let (least, worst) = (record["psnr_least"].as_f64().expect("a figure"), (0..9).map(psnr).fold(f64::MAX, f64::min));
+    assert!((least - worst).abs() < 1e-6, "{least} dB, expected {worst}");
     // The model of this test sees frames at another size.
     assert!(record["psnr"].as_f64().is_some_and(|seen| seen != found), "{record}");
     let seen = record["psnr_size"].as_array().expect("a size").clone();
@@ -561,6 +563,8 @@ fn closeness_at_the_sources_size_is_that_of_the_images_written() {
     for [width, height] in [["96".into(), "64".into()], [seen[0].to_string(), seen[1].to_string()]] {
         assert!(report.contains(&format!("mean PSNR of all frames at {width}×{height}")), "{report}");
     }
+    let line = format!("at 96×64, {least:.2} dB in the worst frame |");
+    assert!(report.contains(&line), "{line}: {report}");
     // `eval` measures the same images.
     let figures = scratch.path("eval.json");
     let eval = ["--seen", "--fit", "letterbox", "--gap", "auto:2-4:30", "--quiet", "--json"];

@@ -178,8 +178,8 @@ options! {
         #[cfg_attr(feature = "clap", arg(long, value_name = "on|off"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub behind: Option<Behind>,
-        /// Every N-th frame is a key frame; or auto, auto:MOST, auto:LEAST-MOST or auto:LEAST-MOST:DB: as few as the
-        /// images of all frames need for a mean PSNR of DB decibels, LEAST to MOST frames apart; frames wait for at
+        /// Every N-th frame is a key frame; or auto, auto:MOST, auto:LEAST-MOST or auto:LEAST-MOST:DB: as few as
+        /// each interval's images need for a mean PSNR of DB decibels, LEAST to MOST frames apart; frames wait for at
         /// most MOST-1 later ones; auto alone is auto:3-12:38
         #[cfg_attr(feature = "clap", arg(long, value_name = "N"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
@@ -235,8 +235,8 @@ options! {
         #[serde(default, with = "text")]
         pub sampling: Option<SamplingMode>,
         /// Static regions of the picture: keep (their Gaussians are kept while frames differ by no more than the
-        /// camera's noise, and a static camera's motion and colours come from every second frame in between; where no
-        /// depth lifts the frames), loose (they are also kept within 38.6 dB in place of 42.1 dB where a codec changes
+        /// camera's noise, and of a static camera's frames in between motion comes from every second one, colours from
+        /// these and from what differs in the others; where no depth lifts the frames), loose (they are also kept within 38.6 dB in place of 42.1 dB where a codec changes
         /// them) or off (every frame counts, and every region is computed for each key frame)
         #[cfg_attr(feature = "clap", arg(long, value_name = "keep|loose|off"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]

@@ -185,7 +185,7 @@ mod tests {
     fn defaults_in_words_are_the_table() {
         let defaults = defaults();
         let of = |name: &str| defaults.iter().find(|(option, _)| option == name).map(|(_, text)| text.as_str());
-        assert_eq!(of("gap"), Some("auto:3-8:39; realtime: 6; best: 2; other models: 1; like-paper: 3"));
+        assert_eq!(of("gap"), Some("auto:3-8:38; realtime: 6; best: 2; other models: 1; like-paper: 3"));
         assert_eq!(of("refine-every"), Some("1; realtime: 3"));
         assert_eq!(of("precision"), Some("int8; best: f32; other models: f32; like-paper: f32"));
         assert_eq!(of("fit"), Some("letterbox; like-paper: stretch"));

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use streamsplat_kernels::parallel::for_each_chunk;
+use streamsplat_kernels::parallel::{for_each_chunk, map_indexed};
 
 use super::{BLOCK, CELL};
 
@@ -118,6 +118,17 @@ impl Blocks {
         let each = f64::from(count) / 3.0;
         let of_means: f64 = sums.iter().map(|sum| sum * sum / each).sum();
         ((squares - of_means).max(0.0) / f64::from(count)).sqrt()
+    }
+
+    /// The block that holds a pixel.
+    pub(in crate::stream) fn holding(self, [y, x]: [usize; 2]) -> usize {
+        y / BLOCK * self.grid[1] + x / BLOCK
+    }
+
+    /// Returns for each block whether the root of the mean square difference of two pictures `[3, H, W]` is more than
+    /// `most`.
+    pub(in crate::stream) fn differing(self, one: &[f32], other: &[f32], most: f64) -> Vec<bool> {
+        map_indexed(self.count(), |at| self.difference(at, one, other).square > most * most)
     }
 
     /// Calls `work(channel, start, block, row)` for each row of pixels of each block; `start`: the index of the row's
