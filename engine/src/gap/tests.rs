@@ -106,7 +106,7 @@ fn intervals_come_near_to_the_target_whatever_predictions_say() {
 #[test]
 fn what_still_pictures_exceed_the_target_by_is_not_spent_on_motion() {
     // At rest every interval has 50 dB; then a square moves by its own width in two frames.
-    let clip: Vec<Picture> = (0..90).map(|i| picture(0, Some((30 * (i as i32 - 60).max(0) % 180) as usize))).collect();
+    let clip: Vec<Picture> = (0..90).map(|i: i32| picture(0, Some((30 * (i - 60).max(0) % 180) as usize))).collect();
     let auto = Auto { least: 2, most: 8, decibels: 38.0 };
     let lengths_after = |still: f64| {
         let keys = told(auto, &clip, |n| if n > 6 { still } else { 30.0 });
