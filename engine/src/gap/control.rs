@@ -15,8 +15,10 @@
 //! intervals of 14 clips of 512×288 (n from 3 to 10, frames in between given, `balanced`), with an error of 1.8 dB
 //! (`bench/gap.py`).
 //!
-//! Each interval reaches the target by itself: what others exceed it by does not count, since a viewer sees the worst
-//! frames, not the mean. An interval is at most three times as long as the latest one that did not end at a cut.
+//! Each interval is to reach the target by itself, as a mean over its frames, the key frame included. What others
+//! exceed it by does not count, since a viewer sees the worst frames. s carries over, so where motion begins, up to
+//! [`LATE`] intervals may miss the target. An interval is at most three times as long as the latest one that did not
+//! end at a cut.
 
 use std::collections::VecDeque;
 

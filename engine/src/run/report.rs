@@ -42,10 +42,12 @@ pub fn summary(record: &Record, out: &Path) -> String {
         _ => String::new(),
     };
     let keys = record.key_frames.map(|keys| format!(", {}", count(keys, "key frame"))).unwrap_or_default();
-    let sizes = closeness(record).map(|(psnr, [width, height])| format!("{psnr:.1} dB at {width}×{height}"));
+    // The worst frame is that of the first size.
+    let mut least = record.psnr_least.map(|least| format!(" (worst frame {least:.1} dB)"));
+    let sizes = closeness(record)
+        .map(|(psnr, [width, height])| format!("{psnr:.1} dB{} at {width}×{height}", least.take().unwrap_or_default()));
     let sizes = sizes.collect::<Vec<_>>().join(" and ");
-    let least = record.psnr_least.map(|least| format!(", {least:.1} dB in the worst")).unwrap_or_default();
-    let psnr = if sizes.is_empty() { sizes } else { format!(", {sizes} over all frames{least}") };
+    let psnr = if sizes.is_empty() { sizes } else { format!(", {sizes} over all frames") };
     // A rendering's input is counted in intervals.
     let (each, what) = match record.task {
         Invocation::Run(_) => (total / record.input.count.max(1) as f64, "frame"),

@@ -299,7 +299,8 @@ pub(super) fn every_second(between: &[Seen]) -> Vec<Seen> {
 }
 
 /// The frames that [`every_second`] leaves out between key frames `[a, b]`, with the blocks where they are not
-/// [`ALIKE`] the mean of their neighbours, weighted by time. Frames without such blocks are not returned.
+/// [`ALIKE`] the mean of their neighbours, weighted by time: `a + w·(b − a)` in binary32. Frames without such blocks
+/// are not returned.
 pub(super) fn left_out(blocks: Blocks, [a, b]: [&[f32]; 2], between: &[Seen]) -> Vec<Partial> {
     if between.len() < MANY {
         return Vec::new();
@@ -312,7 +313,7 @@ pub(super) fn left_out(blocks: Blocks, [a, b]: [&[f32]; 2], between: &[Seen]) ->
     let partial = |(i, seen): (usize, &Seen)| {
         let [(start, one), (end, other)] = [i.checked_sub(1), Some(i + 1)].map(picture);
         let part = if start < end { (seen.t - start) / (end - start) } else { 0.5 };
-        let mean: Vec<f32> = one.iter().zip(other).map(|(x, y)| part.mul_add(y - x, *x)).collect();
+        let mean: Vec<f32> = one.iter().zip(other).map(|(x, y)| x + part * (y - x)).collect();
         let differs = blocks.differing(&seen.rgb, &mean, ALIKE);
         differs.contains(&true).then(|| Partial { t: seen.t, rgb: seen.rgb.clone(), blocks, differs })
     };

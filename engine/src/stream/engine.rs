@@ -351,7 +351,7 @@ impl Engine {
         between.into_iter().map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement)).collect()
     }
 
-    /// What an interval before a static camera does not compute. `seen` is then every second frame of many, and kept
+    /// How the interval is treated while the camera is static. `seen` is then every second frame of many, and kept
     /// blocks of all frames are replaced by their mean.
     fn still(&self, view: &mut KeyView, seen: &mut Vec<Seen>) -> Still {
         let Some(before) = self.state.as_ref().map(|state| &state.view) else { return Still::default() };
@@ -606,7 +606,7 @@ struct Keeping {
     keeps: Keeps,
 }
 
-/// What an interval before a static camera does not compute.
+/// How an interval is treated while the camera is static.
 #[derive(Default)]
 struct Still {
     /// What it keeps from the key frame before, if that is enough.

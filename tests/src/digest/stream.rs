@@ -53,6 +53,7 @@ pub(super) fn things() -> Vec<Thing> {
         Thing::new("stream/embedded-realtime", |level, digest| {
             seen(level, digest, &Settings::of_quality(Quality::Realtime), [80, 48], None);
         }),
+        Thing::new("stream/embedded-static", static_camera),
     ]
 }
 
@@ -97,6 +98,31 @@ fn seen(level: Level, digest: &mut Digest, settings: &Settings, [width, height]:
             );
         }
     }
+}
+
+/// Three key frames of a static camera with a square that moves, with five frames between each pair.
+fn static_camera(level: Level, digest: &mut Digest) {
+    let quality = Settings::of_quality(Quality::Balanced);
+    let settings = Settings { level: Some(level), threads: rayon::current_num_threads(), ..quality };
+    let mut engine = Engine::new(settings).expect("an engine");
+    let [width, height] = [80, 48];
+    let room = Clip::new(ClipKind::Moving, 4, width, height).picture(0.0).rgb;
+    let frame = |k: usize| {
+        let mut rgb = room.clone();
+        for plane in rgb.chunks_exact_mut(width * height) {
+            plane.chunks_exact_mut(width).skip(16).take(16).for_each(|row| row[4 * k..4 * k + 16].fill(0.9));
+        }
+        (Frame { width, height, rgb, depth: None }, 0.05 * k as f64)
+    };
+    for k in [0, 6, 12] {
+        let (key, time) = frame(k);
+        let between = (k.saturating_sub(5)..k).map(frame).collect();
+        let interval = engine.push_with(between, key, time).expect("an interval");
+        records(digest, &interval);
+        interval.gaussians.rgb_rate.iter().for_each(|rate| digest.floats(rate));
+    }
+    let still = engine.work().stage("still").expect("counted");
+    assert!(still.avoided > 0, "the camera is static: {still:?}");
 }
 
 /// Three key frames as a compressed scene: its bytes, and the scene read from them.

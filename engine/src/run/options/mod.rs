@@ -235,10 +235,10 @@ options! {
         #[serde(default, with = "text")]
         pub sampling: Option<SamplingMode>,
         /// Static regions of the picture: keep (their Gaussians are kept while frames differ by no more than the
-        /// camera's noise, and of a static camera's frames in between motion comes from every second one, colours from
-        /// these and from what differs in the others; where no depth lifts the frames), loose (they are also kept
-        /// within 38.6 dB in place of 42.1 dB where a codec changes them) or off (every frame counts, and every region
-        /// is computed for each key frame)
+        /// camera's noise, and a static camera's motion and colours come from every second of four or more frames in
+        /// between, colours that are fitted to all frames also from what differs in the others; where no depth lifts
+        /// the frames), loose (they are also kept within 38.6 dB in place of 42.1 dB where a codec changes them) or off
+        /// (every frame counts, and every region is computed for each key frame)
         #[cfg_attr(feature = "clap", arg(long, value_name = "keep|loose|off"))]
         #[serde(default, skip_serializing_if = "Option::is_none", with = "text")]
         pub still: Option<StaticRegions>,

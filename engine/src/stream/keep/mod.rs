@@ -28,8 +28,8 @@
 //!
 //! Blocks are kept only where they are a share of [`LEAST`] of those with a texture. The camera is static there, and
 //! where a share of [`STATIC`] of the blocks with a texture has rms(d − μ) ≤ [`STEADY`] in every frame. A static
-//! camera's frames are alike: of many in between every second one is used for motion and colours. Where colours are
-//! fitted to all frames, the others count in the blocks that differ from the mean of their neighbours in time.
+//! camera's frames are alike: of many in between every second one is used for motion and colours. With `refine_every`
+//! of 1 colours are also fitted to the others, in the blocks that differ from the mean of their neighbours in time.
 //!
 //! Colours of kept Gaussians follow the mean. They are fitted to it again when the block drifts, when the mean holds
 //! twice as many frames as at the last fit, and when its means over 4×4 pixels have moved by more than [`FOLLOWED`]
