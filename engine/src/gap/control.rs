@@ -43,8 +43,6 @@ pub struct Found {
     pub key: f64,
     /// Mean PSNR of the frames in between, in dB; `None` where there are none.
     pub between: Option<f64>,
-    /// Frames after the interval's first key frame, including the last one; 1 for the very first key frame.
-    pub frames: usize,
 }
 
 /// An interval, and how well it was predicted.

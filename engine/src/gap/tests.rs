@@ -62,7 +62,7 @@ fn told(auto: Auto, clip: &[Picture], between: impl Fn(usize) -> f64) -> Vec<usi
         };
         let n = keys.last().map_or(1, |before| key - before);
         keys.push(key);
-        waiting.push_back(Found { key: 44.0, between: (n > 1).then(|| between(n)), frames: n });
+        waiting.push_back(Found { key: 44.0, between: (n > 1).then(|| between(n)) });
         if waiting.len() > 1 {
             waiting.pop_front().iter().for_each(|found| chooser.learn(found));
         }
@@ -123,7 +123,7 @@ fn what_still_pictures_exceed_the_target_by_is_not_spent_on_motion() {
 fn choices_go_on_from_where_they_were_replayed_to() {
     let clip: Vec<Picture> = (0..80).map(|i| picture(i * i / 40, (i > 50).then_some(30))).collect();
     let auto = Gap::Auto(Auto { least: 1, most: 11, decibels: 37.0 });
-    let found = |key: usize| Found { key: 40.0, between: Some(30.0 + (key % 7) as f64), frames: 3 };
+    let found = |key: usize| Found { key: 40.0, between: Some(30.0 + (key % 7) as f64) };
     let mut whole = Chooser::new(auto);
     let mut keys: Vec<usize> = Vec::new();
     let mut states = Vec::new();

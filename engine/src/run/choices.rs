@@ -13,8 +13,8 @@ pub struct Choices {
     pub gaps: Vec<usize>,
     /// State of the controller when the last of them was chosen.
     pub state: ControlState,
-    /// Results since then: PSNR of the key frame and of the frames in between, as bits, and the number of frames.
-    recent: VecDeque<(u64, Option<u64>, usize)>,
+    /// Results since then: PSNR of the key frame and of the frames in between, as bits.
+    recent: VecDeque<(u64, Option<u64>)>,
     /// PSNR of all frames compared ([`Total::stored`]).
     compared: (u64, usize, u64),
 }
@@ -41,7 +41,7 @@ impl Choices {
     /// Records the result of an interval. The last two are kept, since the next choice may not have used them yet.
     /// `total` is that of all frames compared so far.
     pub fn found(&mut self, found: &Found, total: Total) {
-        self.recent.push_back((found.key.to_bits(), found.between.map(f64::to_bits), found.frames));
+        self.recent.push_back((found.key.to_bits(), found.between.map(f64::to_bits)));
         if self.recent.len() > 2 {
             self.recent.pop_front();
         }
@@ -50,11 +50,11 @@ impl Choices {
 
     /// Results since the last choice.
     pub fn recent(&self) -> impl Iterator<Item = Found> {
-        self.recent.iter().map(|&(key, between, frames)| Found {
+        let found = |&(key, between): &(u64, Option<u64>)| Found {
             key: f64::from_bits(key),
             between: between.map(f64::from_bits),
-            frames,
-        })
+        };
+        self.recent.iter().map(found)
     }
 
     /// PSNR of all frames compared.

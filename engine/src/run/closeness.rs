@@ -211,7 +211,7 @@ impl Closeness {
         self.time += start.elapsed();
         let Some(key) = ratios.pop() else { return Ok(None) };
         let between = (!ratios.is_empty()).then(|| ratios.iter().sum::<f64>() / ratios.len() as f64);
-        Ok(Some(Found { key, between, frames: ratios.len() + 1 }))
+        Ok(Some(Found { key, between }))
     }
 
     /// The frames compared so far.

@@ -300,9 +300,14 @@ pub(super) fn every_second(between: &[Seen]) -> Vec<Seen> {
 
 /// The frames that [`every_second`] leaves out between key frames `[a, b]`, with the blocks where they are not
 /// [`ALIKE`] the mean of their neighbours, weighted by time: `a + w·(b − a)` in binary32. Frames without such blocks
-/// are not returned.
-pub(super) fn left_out(blocks: Blocks, [a, b]: [&[f32]; 2], between: &[Seen]) -> Vec<Partial> {
-    if between.len() < MANY {
+/// are not returned. `changes`: the blocks that are looked at.
+pub(super) fn left_out(
+    blocks: Blocks,
+    [a, b]: [&[f32]; 2],
+    between: &[Seen],
+    changes: impl Fn(usize) -> bool + Sync,
+) -> Vec<Partial> {
+    if between.len() < MANY || !blocks.indices().any(&changes) {
         return Vec::new();
     }
     let picture = |i: Option<usize>| match i.map(|i| between.get(i)) {
@@ -314,7 +319,7 @@ pub(super) fn left_out(blocks: Blocks, [a, b]: [&[f32]; 2], between: &[Seen]) ->
         let [(start, one), (end, other)] = [i.checked_sub(1), Some(i + 1)].map(picture);
         let part = if start < end { (seen.t - start) / (end - start) } else { 0.5 };
         let mean: Vec<f32> = one.iter().zip(other).map(|(x, y)| x + part * (y - x)).collect();
-        let differs = blocks.differing(&seen.rgb, &mean, ALIKE);
+        let differs = blocks.differing(&seen.rgb, &mean, ALIKE, &changes);
         differs.contains(&true).then(|| Partial { t: seen.t, rgb: seen.rgb.clone(), blocks, differs })
     };
     between.iter().enumerate().step_by(2).filter_map(partial).collect()
@@ -355,15 +360,17 @@ mod tests {
         let between: Vec<Seen> = (1..6).map(seen).collect();
         let (first, last) = (picture(0), picture(6));
         let blocks = Blocks::of(size).expect("whole cells");
-        let found = left_out(blocks, [&first, &last], &between);
+        let found = left_out(blocks, [&first, &last], &between, |_| true);
         assert_eq!(found.iter().map(|partial| partial.t).collect::<Vec<_>>(), [0.5]);
         assert_eq!(found[0].differs, [false, false, false, false, true, false]);
         assert!(found[0].counts_in(&[16..20, 28..32]) && !found[0].counts_in(&[12..16, 28..32]));
+        // Kept blocks are not looked at.
+        assert!(left_out(blocks, [&first, &last], &between, |at| at != 4).is_empty());
         // Short intervals use all frames.
-        assert!(left_out(blocks, [&first, &last], &between[1..4]).is_empty());
+        assert!(left_out(blocks, [&first, &last], &between[1..4], |_| true).is_empty());
         // Two frames at one time have their middle for a mean.
         let same = |k: usize| Seen { t: 0.0, ..seen(k) };
-        let found = left_out(blocks, [&first, &last], &(1..6).map(same).collect::<Vec<_>>());
+        let found = left_out(blocks, [&first, &last], &(1..6).map(same).collect::<Vec<_>>(), |_| true);
         assert!(found.iter().any(|partial| partial.differs[4]), "{}", found.len());
     }
 }

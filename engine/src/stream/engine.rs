@@ -10,19 +10,19 @@ use streamsplat_kernels::philox::Stream;
 use streamsplat_model::LoadOptions;
 use streamsplat_model::reuse::{Saving, Tokens};
 
-use super::between::{Flows, Partial, Seen, every_second, left_out, targets};
+use super::between::{Flows, Partial, Seen, targets};
 use super::canonical::{Advance, CanonicalSet, Step};
 use super::colours::{Fitter, Rates, Target};
-use super::keep::{Blocks, Camera, Change, Keeps, Kept, Lattice};
+use super::keep::{Change, Kept};
 use super::keyframe::{AlignedMap, Context, KeyView};
 use super::lift::{Alignment, DepthMap, Memory, Past, align, contradiction};
 use super::motion::{completed, fixed};
 use super::pair::Pair;
+use super::still::{Keeping, Still, Taken};
 use super::tiles::Tiles;
 use super::work::Stage;
 use super::{
-    EngineError, Fade, Frame, Fusion, Interval, MotionFrom, Reconstructor, ResumePoint, Reuse, SamplingMode, Settings,
-    Work, Workers,
+    EngineError, Fade, Frame, Interval, MotionFrom, Reconstructor, ResumePoint, Reuse, Settings, Work, Workers,
 };
 use crate::fit::Placement;
 use crate::parallax::{self, Evidence, Filled, Found, Window};
@@ -198,7 +198,12 @@ impl Engine {
         let mut seen = self.seen(between, timestamp, placement);
         let level = self.workers.level();
         let all = seen.len();
-        let Still { mut keeping, mut partial, taken } = self.still(&mut view, &mut seen);
+        let guessed = self.settings.guess_depth() && self.model.ignores_depth();
+        let Still { mut keeping, mut partial, taken } = match &self.state {
+            // With a guess key frames are lifted, and lifted Gaussians are not kept.
+            Some(state) if !guessed => Still::of(&self.settings, &state.view, &mut view, &mut seen),
+            _ => Still::default(),
+        };
         let mut flows = match &keeping {
             Some(Keeping { kept, .. }) => self.flows_within(kept, &view, &seen, index)?,
             None => self.flows(&mut view, &mut seen, index)?,
@@ -349,56 +354,6 @@ impl Engine {
         let length = length(state.timestamp, timestamp);
         let relative = |time: f64| ((time - state.timestamp) / length) as f32;
         between.into_iter().map(|(frame, time)| Seen::new(level, work, frame, relative(time), placement)).collect()
-    }
-
-    /// How the interval is treated while the camera is static. `seen` is then every second frame of many, and kept
-    /// blocks of all frames are replaced by their mean.
-    fn still(&self, view: &mut KeyView, seen: &mut Vec<Seen>) -> Still {
-        let Some(before) = self.state.as_ref().map(|state| &state.view) else { return Still::default() };
-        let Some((Camera::Static(kept), cells)) = self.camera(view, seen) else { return Still::default() };
-        let keeping = kept.map(|kept| {
-            let keeps = kept.of_cells(&cells, &before.added.moving);
-            Keeping { kept, keeps }
-        });
-        let used = every_second(seen);
-        let mut partial = match Blocks::of(view.resolution()) {
-            Some(blocks) if self.settings.refine_every() == 1 => left_out(blocks, [&before.rgb, &view.rgb], seen),
-            _ => Vec::new(),
-        };
-        let replaced = keeping.is_some() || used.len() < seen.len();
-        let searched = self.settings.find_depth() && keeping.as_ref().is_none_or(|keeping| !keeping.kept.mostly());
-        let between = std::mem::replace(seen, used);
-        let taken = (replaced && searched).then(|| Taken { rgb: view.rgb.clone(), between });
-        if let Some(Keeping { kept, .. }) = &keeping {
-            let partial = partial.iter_mut().map(|Partial { t, rgb, .. }| (*t, rgb));
-            for (t, rgb) in seen.iter_mut().map(|Seen { t, rgb, .. }| (*t, rgb)).chain(partial) {
-                kept.show(&before.rgb, t, Arc::<Vec<f32>>::make_mut(rgb));
-            }
-            kept.show(&before.rgb, 1.0, &mut view.rgb);
-        }
-        Still { keeping, partial, taken }
-    }
-
-    /// The camera over the interval, and the model's own Gaussians; `None` where static regions are not looked for.
-    fn camera(&self, view: &KeyView, seen: &[Seen]) -> Option<(Camera, Lattice)> {
-        let Self { settings, state, .. } = self;
-        let before = &state.as_ref()?.view;
-        let close = settings.still().close()?;
-        let wanted = settings.motion() != MotionFrom::Network
-            && !settings.deforms()
-            && settings.fusion == Fusion::Persistent
-            && settings.sampling == SamplingMode::Mean
-            && settings.refine() > 0
-            // With a guess key frames are lifted, and lifted Gaussians are not kept.
-            && !(settings.guess_depth() && self.model.ignores_depth());
-        if !wanted || view.has_depth() || before.map.is_some() {
-            return None;
-        }
-        let cells = Lattice::of(before.layers().cells, view.resolution())?;
-        let blocks = Blocks::of(view.resolution())?;
-        let frames: Vec<(f32, &[f32])> =
-            seen.iter().map(|seen| (seen.t, &seen.rgb[..])).chain([(1.0, &view.rgb[..])]).collect();
-        Some((Camera::over(blocks, &before.rgb, before.past.as_ref(), &frames, close), cells))
     }
 
     /// Flow through the interval; none where motion is the network's.
@@ -597,31 +552,6 @@ impl<'a> Context<'a> {
         let before = before.filter(|_| settings.reuse != Reuse::Off).map(|state| &state.view);
         Context { settings, level: workers.level(), work, tiles, fitter, before }
     }
-}
-
-/// The kept part of an interval.
-struct Keeping {
-    kept: Kept,
-    /// What happens to each Gaussian of the key frame before.
-    keeps: Keeps,
-}
-
-/// How an interval is treated while the camera is static.
-#[derive(Default)]
-struct Still {
-    /// What it keeps from the key frame before, if that is enough.
-    keeping: Option<Keeping>,
-    /// The frames left out of flow that colours are fitted to in parts.
-    partial: Vec<Partial>,
-    /// The frames as they came, where one is changed or left out and depth is searched.
-    taken: Option<Taken>,
-}
-
-/// An interval's frames as they came.
-struct Taken {
-    /// The key frame at its end.
-    rgb: Vec<f32>,
-    between: Vec<Seen>,
 }
 
 /// What a key frame's depth is found from.

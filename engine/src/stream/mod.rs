@@ -36,6 +36,7 @@ mod resolution;
 mod resume;
 mod settings;
 mod snapshot;
+mod still;
 mod tiles;
 mod work;
 mod workers;

@@ -182,14 +182,16 @@ fn levels_threads_and_a_resumed_stream_are_the_same_bits_and_crossing_changes_no
 fn frames_that_flow_leaves_out_show_a_body_that_moves_on_every_level() {
     // Ten pixels a frame, six frames to an interval: flow takes the second and the fourth of five in between.
     let frame = |k: usize| frame(5 * k, 1.0, true);
+    let start = |level, threads| {
+        Engine::new(Settings { level: Some(level), threads, ..settings(StaticRegions::Keep) }).expect("starts")
+    };
+    let push = |engine: &mut Engine, key: usize| {
+        let between = (key.saturating_sub(5)..key).map(|k| (frame(k), k as f64)).collect();
+        engine.push_with(between, frame(key), key as f64).expect("taken")
+    };
     let stream = |level, threads| {
-        let mut engine =
-            Engine::new(Settings { level: Some(level), threads, ..settings(StaticRegions::Keep) }).expect("starts");
-        let push = |key: usize| {
-            let between = (key.saturating_sub(5)..key).map(|k| (frame(k), k as f64)).collect();
-            engine.push_with(between, frame(key), key as f64).expect("taken")
-        };
-        [0, 6, 12].map(push)
+        let mut engine = start(level, threads);
+        [0, 6, 12].map(|key| push(&mut engine, key))
     };
     let expected = stream(Level::detect(), 2);
     for (first, interval) in [(1, &expected[1]), (7, &expected[2])] {
@@ -202,6 +204,10 @@ fn frames_that_flow_leaves_out_show_a_body_that_moves_on_every_level() {
             assert!(bits(&a.gaussians) == bits(&b.gaussians), "interval {}, {level}, {threads} threads", a.index);
         }
     }
+    let [mut stopped, mut resumed] = [(); 2].map(|()| start(Level::detect(), 2));
+    [0, 6].into_iter().for_each(|key| drop(push(&mut stopped, key)));
+    resumed.resume(&stopped.resume_point().expect("a point"), frame(6)).expect("resumed");
+    assert!(bits(&push(&mut resumed, 12).gaussians) == bits(&expected[2].gaussians), "resumed");
 }
 
 #[test]

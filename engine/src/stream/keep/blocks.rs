@@ -125,10 +125,21 @@ impl Blocks {
         y / BLOCK * self.grid[1] + x / BLOCK
     }
 
-    /// Returns for each block whether the root of the mean square difference of two pictures `[3, H, W]` is more than
-    /// `most`.
-    pub(in crate::stream) fn differing(self, one: &[f32], other: &[f32], most: f64) -> Vec<bool> {
-        map_indexed(self.count(), |at| self.difference(at, one, other).square > most * most)
+    /// The indices of the blocks.
+    pub(in crate::stream) fn indices(self) -> Range<usize> {
+        0..self.count()
+    }
+
+    /// Returns for each block whether it is `wanted` and the root of the mean square difference of two pictures `[3, H,
+    /// W]` is more than `most`.
+    pub(in crate::stream) fn differing(
+        self,
+        one: &[f32],
+        other: &[f32],
+        most: f64,
+        wanted: impl Fn(usize) -> bool + Sync,
+    ) -> Vec<bool> {
+        map_indexed(self.count(), |at| wanted(at) && self.difference(at, one, other).square > most * most)
     }
 
     /// Calls `work(channel, start, block, row)` for each row of pixels of each block; `start`: the index of the row's
