@@ -54,7 +54,7 @@ const SCRIPT_FILES: [&str; 21] = [
 ];
 
 /// The scripts of the worker, joined likewise.
-const WORKER_FILES: [&str; 21] = [
+const WORKER_FILES: [&str; 25] = [
     player!("errors.js"),
     player!("packet.js"),
     player!("camera.js"),
@@ -74,6 +74,10 @@ const WORKER_FILES: [&str; 21] = [
     include_str!("dropped/splat.js"),
     include_str!("dropped/zstd.js"),
     include_str!("dropped/spz.js"),
+    include_str!("dropped/zip.js"),
+    include_str!("dropped/pixels.js"),
+    include_str!("dropped/sog.js"),
+    include_str!("dropped/glb.js"),
     include_str!("dropped/formats.js"),
     include_str!("worker.js"),
 ];

@@ -1,7 +1,7 @@
 // The readers of the page, as in its worker. Each has seeds, a function that reads bytes and checks the result, and the errors that are refusals.
 
 import { readFileSync } from "node:fs";
-import { gzipSync } from "node:zlib";
+import { deflateRawSync, gzipSync } from "node:zlib";
 import { columnOf } from "../../outside/column.mjs";
 
 const VIEW = "engine/src/view";
@@ -12,10 +12,17 @@ const MOST = 1 << 20;
 /** The definitions of the worker's scripts, joined as in page.rs. */
 function scripts() {
   const list = /const WORKER_FILES[^=]*= \[(.*?)\];/s.exec(readFileSync(`${VIEW}/page.rs`, "utf8"))[1];
-  const files = [...list.matchAll(/(player|include_str)!\("(.*?)"\)/g)].filter(([, , name]) => name !== "worker.js");
+  // Images are decoded by browsers alone: here a function of the same name makes pixels.
+  const files = [...list.matchAll(/(player|include_str)!\("(.*?)"\)/g)].filter(([, , name]) => !["worker.js", "dropped/pixels.js"].includes(name));
   const lines = files.flatMap(([, kind, name]) => readFileSync(`${kind === "player" ? PLAYER : VIEW}/${name}`, "utf8").split("\n"));
   const text = lines.filter((line) => !line.startsWith("import ")).map((line) => line.replace(/^export /, "")).join("\n");
-  return new Function(`"use strict";\n${text}\nreturn { opened, unzstd, Packet, packetIn, decode, packetOf, HEADER, RECORD };`)();
+  return new Function("pixelsOf", `"use strict";\n${text}\nreturn { opened, unzstd, Packet, packetIn, decode, packetOf, HEADER, RECORD, crcOf };`)(pixelsOf);
+}
+
+/** Pixels of an image of this size; the alphas of rotations, and labels, are those that occur. */
+async function pixelsOf(bytes, width, height, name) {
+  const special = { "quats_0.webp": (i) => 252 + (i & 3), "shN_1.webp": (i) => (i & 3 ? 0 : (i >> 2) & 15) }[name];
+  return Uint8Array.from({ length: 4 * width * height }, (_, i) => special?.(i) ?? (i * 37) & 255);
 }
 
 /** A file in memory, with the interface that the page's readers use. */
@@ -108,6 +115,98 @@ function spz4(count, degree) {
     return entry;
   }));
   return Buffer.concat([header, table, ...frames]);
+}
+
+/** A zip file of files, every second one compressed. */
+function zip(files) {
+  const { crcOf } = (zip.scripts ??= scripts());
+  let [at, bodies, entries] = [0, [], []];
+  files.forEach(([name, bytes], i) => {
+    const method = i % 2 ? 8 : 0;
+    const stored = method ? deflateRawSync(bytes) : bytes;
+    const [header, entry] = [Buffer.alloc(30), Buffer.alloc(46)];
+    [[header, 0x04034b50, 8, 14], [entry, 0x02014b50, 10, 16]].forEach(([head, magic, place, sums]) => {
+      head.writeUInt32LE(magic);
+      head.writeUInt16LE(method, place);
+      [crcOf(bytes), stored.length, bytes.length].forEach((word, k) => head.writeUInt32LE(word, sums + 4 * k));
+      head.writeUInt16LE(name.length, sums + 12);
+    });
+    entry.writeUInt32LE(at, 42);
+    bodies.push(header, Buffer.from(name), stored);
+    entries.push(entry, Buffer.from(name));
+    at += header.length + name.length + stored.length;
+  });
+  const directory = Buffer.concat(entries);
+  const end = Buffer.alloc(22);
+  end.writeUInt32LE(0x06054b50);
+  [8, 10].forEach((place) => end.writeUInt16LE(files.length, place));
+  [directory.length, at].forEach((word, k) => end.writeUInt32LE(word, 12 + 4 * k));
+  return Buffer.concat([...bodies, directory, end]);
+}
+
+/** The head of a lossless WebP image, which is all that is read here. */
+function webp(width, height) {
+  const bytes = Buffer.alloc(25);
+  bytes.write("RIFF....WEBPVP8L", "latin1");
+  bytes[20] = 0x2f;
+  bytes.writeUInt32LE((width - 1) | ((height - 1) << 14), 21);
+  return bytes;
+}
+
+/** The meta.json of a SOG scene of 16 Gaussians. */
+function meta(degree) {
+  const codebook = Array.from({ length: 256 }, (_, i) => i % 5);
+  const files = (name, count = 1) => Array.from({ length: count }, (_, k) => `${name}_${k}.webp`);
+  const about = {
+    version: 2,
+    count: 16,
+    means: { mins: [-1, -2, -3], maxs: [1, 2, 3], files: files("means", 2) },
+    scales: { codebook, files: files("scales") },
+    quats: { files: files("quats") },
+    sh0: { codebook, files: files("sh0") },
+  };
+  if (degree) about.shN = { count: 70, bands: degree, codebook, files: files("shN", 2) };
+  return Buffer.from(JSON.stringify(about));
+}
+
+/** A SOG file with this meta.json. */
+function sog(text) {
+  const names = ["means_0", "means_1", "scales_0", "quats_0", "sh0_0", "shN_1"];
+  return zip([["meta.json", text], ...names.map((name) => [`${name}.webp`, webp(4, 4)]), ["shN_0.webp", webp(960, 2)]]);
+}
+
+/** A binary glTF file of `count` Gaussians. */
+function glb(count, degree) {
+  const own = "KHR_gaussian_splatting:";
+  const coefficients = [0, 1, 2, 3].slice(0, degree + 1).flatMap((degree) => Array.from({ length: 2 * degree + 1 }, (_, k) => [`${own}SH_DEGREE_${degree}_COEF_${k}`, "VEC3"]));
+  const shapes = [["POSITION", "VEC3"], [`${own}ROTATION`, "VEC4"], [`${own}SCALE`, "VEC3"], [`${own}OPACITY`, "SCALAR"], ...coefficients];
+  const lengths = shapes.map(([, shape]) => 4 * count * { SCALAR: 1, VEC3: 3, VEC4: 4 }[shape]);
+  const starts = lengths.map((_, k) => lengths.slice(0, k).reduce((sum, length) => sum + length, 0));
+  const document = {
+    asset: { version: "2.0" },
+    extensionsUsed: ["KHR_gaussian_splatting"],
+    scene: 0,
+    scenes: [{ nodes: [0] }],
+    nodes: [{ mesh: 0, translation: [1, 2, 5000.25] }],
+    meshes: [{ primitives: [{ mode: 0, attributes: Object.fromEntries(shapes.map(([name], k) => [name, k])), extensions: { KHR_gaussian_splatting: { kernel: "ellipse" } } }] }],
+    accessors: shapes.map(([, type], k) => ({ bufferView: k, componentType: 5126, type, count })),
+    bufferViews: lengths.map((byteLength, k) => ({ buffer: 0, byteOffset: starts[k], byteLength })),
+    buffers: [{ byteLength: starts.at(-1) + lengths.at(-1) }],
+  };
+  const text = Buffer.from(JSON.stringify(document).padEnd(Math.ceil(JSON.stringify(document).length / 4) * 4));
+  const numbers = floats((starts.at(-1) + lengths.at(-1)) / 4, (i) => Math.abs(value(i)));
+  const chunk = (kind, bytes) => {
+    const head = Buffer.alloc(8);
+    head.writeUInt32LE(bytes.length);
+    head.write(kind, 4, "latin1");
+    return Buffer.concat([head, bytes]);
+  };
+  const chunks = Buffer.concat([chunk("JSON", text), chunk("BIN\0", numbers)]);
+  const head = Buffer.alloc(12);
+  head.write("glTF");
+  head.writeUInt32LE(2, 4);
+  head.writeUInt32LE(12 + chunks.length, 8);
+  return Buffer.concat([head, chunks]);
 }
 
 /** Contents of three kinds, and their frames by zstd 1.5.4: `-19`, `-1`, `-19`. */
@@ -206,6 +305,9 @@ export function readers() {
         check(unzstd(bytes, CONTENT).length === CONTENT, "a content of another length");
       },
     },
+    sog: file("a.sog", [meta(0), meta(1), meta(3)], sog),
+    zip: file("a.sog", [sog(meta(0)), sog(meta(3))]),
+    glb: file("a.glb", [glb(1, 0), glb(3, 1), glb(2, 3)]),
     others: file("a.bin", [plain(1, 0), ...[spz(2, 1, 0)].map((bytes) => gzipSync(bytes))]),
     // With the count that an index has, and as a page's text, without one.
     chunk: {

@@ -355,7 +355,7 @@ async function files(address) {
   const source = `${scratch}/cloud.ply`;
   writeFileSync(source, cloud());
   const paths = [source];
-  for (const name of ["cloud.compressed.ply", "cloud.splat"]) {
+  for (const name of ["cloud.compressed.ply", "cloud.splat", "cloud.sog", "cloud.glb"]) {
     paths.push(`${scratch}/${name}`);
     run(streamsplat, "export", source, "--out", paths.at(-1), "--quiet");
   }
@@ -421,9 +421,10 @@ async function files(address) {
 }
 
 /** Files whose content does not match their name, one message each. */
-async function refused(page, [ply, packed, splat], newer) {
-  const [whole, compressed, records] = [ply, packed, splat].map((path) => readFileSync(path));
+async function refused(page, [ply, packed, splat, sog, glb], newer) {
+  const [whole, compressed, records, zipped, binary] = [ply, packed, splat, sog, glb].map((path) => readFileSync(path));
   const changed = (bytes, from, to) => Buffer.from(bytes.toString("latin1").replace(from, to), "latin1");
+  const flipped = (bytes, at) => ((bytes = Buffer.from(bytes)), (bytes[at] ^= 1), bytes);
   const header = (at, value) => (bytes) => (bytes.writeUInt32LE(value, at), bytes);
   const negative = Buffer.from(records);
   negative.writeFloatLE(-1, 32 + 12);
@@ -442,7 +443,7 @@ async function refused(page, [ply, packed, splat], newer) {
     ["endless.ply", Buffer.concat([Buffer.from("ply\n"), Buffer.alloc(70_000, 32)]), "header: expected end_header within the first 4194304 bytes"],
     ["cut.compressed.ply", compressed.subarray(0, -5), "element sh: expected 4000 of 45 bytes each"],
     ["many.compressed.ply", changed(compressed, "chunk 16", "chunk 99"), "element sh: expected 4000 of 45 bytes each"],
-    ["magic.compressed.ply", changed(compressed, "ply", "plx"), 'format: expected PLY, compressed PLY, SPZ, splat or ssz, found a file that begins with "plx\\nform"'],
+    ["magic.compressed.ply", changed(compressed, "ply", "plx"), 'format: expected PLY, compressed PLY, SPZ, SOG, glb, splat or ssz, found a file that begins with "plx\\nform"'],
     ["cut.splat", records.subarray(0, -5), `file: expected records of 32 bytes, found ${records.length - 5} bytes`],
     ["negative.splat", negative, "record 1: expected standard deviations of 0 or more, found -1"],
     ["nowhere.splat", Buffer.alloc(32, 255), "centres: expected Gaussians at finite places, found none to look at"],
@@ -459,8 +460,15 @@ async function refused(page, [ply, packed, splat], newer) {
     ["more.4.spz", Buffer.concat([newest, Buffer.alloc(1)]), "file: expected its end after the last stream, found 1 more bytes"],
     ["frame.4.spz", broken(newest), "positions: expected a zstd frame of 36000 bytes, found damaged: no frame"],
     ["many.4.spz", header(8, 99_999_999)(Buffer.from(newest)), "header: points: expected at most"],
-    ["a.sog", Buffer.from("PK\x03\x04aaaa"), `found a zip file, as SOG is ${view}`],
-    ["a.glb", Buffer.from("glTF\x02\x00\x00\x00"), `found glTF ${view}`],
+    ["a.sog", Buffer.from("PK\x03\x04aaaa"), "zip file: expected its directory's end, found none"],
+    ["cut.sog", zipped.subarray(1000), 'found a file that begins with'],
+    ["version.sog", changed(zipped, '"version":2', '"version":7'), "meta.json: expected the checksum of its bytes, found another"],
+    ["flipped.sog", flipped(zipped, zipped.indexOf("WEBPVP8L") + 60), ".webp: expected the checksum of its bytes, found another"],
+    ["a.glb", Buffer.from("glTF\x02\x00\x00\x00"), "header: expected 12 bytes, found 8"],
+    ["cut.glb", binary.subarray(0, -4), `header: length: expected ${binary.length - 4} bytes, found ${binary.length}`],
+    ["mesh.glb", changed(binary, '"mode":0', '"mode":4'), `mesh: primitives: expected one of points with KHR_gaussian_splatting, found`],
+    ["short.glb", changed(binary, '"type":"SCALAR"', '"type":"MATRIX"'), "attribute KHR_gaussian_splatting:OPACITY: expected binary32 numbers of the type SCALAR, found"],
+    ["many.glb", changed(binary, '"count":4000', '"count":4001'), "attribute POSITION: expected 48012 bytes in the file's buffer, found"],
     ["scene.json", Buffer.from("{}"), `found JSON that names other files ${view}`],
     ["a.mp4", Buffer.from("\x00\x00\x00\x20ftypisom"), "found a video (make a scene of it with: streamsplat run FILE)"],
     ["empty", Buffer.alloc(0), "found an empty file"],
