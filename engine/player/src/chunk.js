@@ -10,26 +10,27 @@ const NAMES = (
 ).split(" ");
 const [KIND, LINK_ROW, LINK, CODE, IDENTITY, BIRTH, FRAME, FIRST, MERGE] = [0, 1, 2, 3, 4, 5, 6, 7, 28];
 /** Cells of a row of the embedded model's grid, and the width of one in integers of mean_x. */
-const [ROW, CELL] = [256, 32];
+const [ROW, CELL] = [256, 16];
 const MOST_ROWS = 65536;
 const [FRESH, CARRIED, KEPT] = [0, 1, 3];
 /** Number of values per record, and their positions. */
 export const VALUES = 21;
 const [OFFSET_AT, OPACITY_AT, SCALE_AT, GREEN_AT, VELOCITY_AT, GAMMA_AT, RATE_AT, THICKNESS_AT] = [3, 6, 7, 9, 12, 15, 17, 20];
-/** Values predicted from the previous record, and values predicted from a record of the previous interval. Offsets are in no packet. */
-const SINCE_LAST = Array.from({ length: THICKNESS_AT - VELOCITY_AT }, (_, k) => VELOCITY_AT + k);
+/** Values predicted from the previous record, from a record of the previous interval, and not at all. Offsets are in no packet. */
+const SINCE_LAST = Array.from({ length: RATE_AT - VELOCITY_AT }, (_, k) => VELOCITY_AT + k);
 const SINCE_LINK = [0, 1, 2, 6, 7, 8, 9, 10, 11, THICKNESS_AT];
+const SINCE_NOTHING = Array.from({ length: THICKNESS_AT - RATE_AT }, (_, k) => RATE_AT + k);
 /** Columns that are empty if all their differences are 0. */
 const isRare = (column) => column >= FIRST + RATE_AT && column < MERGE;
 /** Columns with numbers for some of the records. */
 const isForSome = (column) => column === LINK_ROW || column === LINK || (column >= IDENTITY && column <= FRAME);
 /** Columns of which only the lengths are read. */
 const isSkipped = (column) => column >= MERGE || (column >= FIRST + OFFSET_AT && column < FIRST + OPACITY_AT);
-/** Integers per world unit of means and of velocities, per octave, and per unit of colours and of their changes. */
-const STEPS = { across: 4096, depth: 16384, motion: 1024, octave: 16, colour: 128, rate: 32 };
+/** Integers per world unit of means and of velocities, per octave of opacities and of sizes, and per unit of colours and of their changes. */
+const STEPS = { across: 2048, depth: 16384, motion: 512, opacity: 16, size: 8, colour: 128, rate: 16 };
 /** The largest magnitude of the integers, and the ranges of logarithms. */
 const LIMIT = 2 ** 46;
-const [LEAST_OCTAVE, MOST_OCTAVE, MOST_GAMMA] = [-2416, 2032, 4092];
+const [LEAST_OPACITY, MOST_OPACITY, LEAST_SIZE, MOST_SIZE, MOST_GAMMA] = [-2416, 2032, -1208, 1016, 4092];
 /** Maximum number of Gaussians of an interval. */
 export const MOST_GAUSSIANS = 2 ** 24;
 const SEEN_AT = Math.fround(1 / 255);
@@ -165,7 +166,7 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
   }
   for (const column of [linkRow, link, identities, births, frames]) column.end();
   const values = Array.from({ length: VALUES }, () => null);
-  for (const k of [...SINCE_LINK, ...SINCE_LAST]) values[k] = new Float64Array(count);
+  for (const k of [...SINCE_LINK, ...SINCE_LAST, ...SINCE_NOTHING]) values[k] = new Float64Array(count);
   for (const k of SINCE_LINK) {
     const [differences, mine, theirs] = [differencesOf(k), values[k], before.values?.[k]];
     // A kept record's colour has grown by its change.
@@ -183,6 +184,7 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
     const differences = differencesOf(k);
     if (differences) for (let i = 0, last = 0; i < count; i++) last = values[k][i] = last + differences[i];
   }
+  for (const k of SINCE_NOTHING) values[k] = differencesOf(k) ?? values[k];
   for (const [k, column] of values.entries()) if (column) checkRange(column, k, coarseness?.[k] ?? 1);
   return { count, code, identity, birth, frame, values };
 }
@@ -196,9 +198,10 @@ function checkRange(column, k, unit) {
   }
   const name = `column ${NAMES[FIRST + k]}`;
   if (low * unit < -LIMIT || high * unit > LIMIT) throw wrong(name, "magnitudes up to 2^46", "a larger one");
-  const isLogarithm = k === OPACITY_AT || k === SCALE_AT || k === SCALE_AT + 1 || k === THICKNESS_AT;
-  const least = isLogarithm ? LEAST_OCTAVE : k === GAMMA_AT || k === GAMMA_AT + 1 ? 0 : -Infinity;
-  const most = isLogarithm ? MOST_OCTAVE : k === GAMMA_AT ? MOST_GAMMA : Infinity;
+  const isSize = k === SCALE_AT || k === SCALE_AT + 1 || k === THICKNESS_AT;
+  let [least, most] = isSize ? [LEAST_SIZE, MOST_SIZE] : [-Infinity, Infinity];
+  if (k === OPACITY_AT) [least, most] = [LEAST_OPACITY, MOST_OPACITY];
+  if (k === GAMMA_AT || k === GAMMA_AT + 1) [least, most] = [0, k === GAMMA_AT ? MOST_GAMMA : Infinity];
   if (low * unit < least) throw wrong(name, `at least ${least}`, low * unit);
   if (high * unit > most) throw wrong(name, `at most ${most}`, high * unit);
 }
@@ -241,10 +244,11 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
     return out;
   };
   const coloured = (at, steps) => [scaled(steps, at + 1, at), scaled(steps, at), scaled(steps, at + 2, at)];
-  const octaves = (q) => Math.exp((q / STEPS.octave) * Math.LN2);
+  const octaves = (steps) => (q) => Math.exp((q / steps) * Math.LN2);
+  const [opaque, sizes] = [octaves(STEPS.opacity), octaves(STEPS.size)];
   const lengths = [STEPS.across, STEPS.depth, STEPS.across].map((steps, k) => scaled(steps, k)).concat([0, 1, 2].map((k) => scaled(STEPS.motion, VELOCITY_AT + k)));
   const [colours, rates] = [coloured(GREEN_AT, STEPS.colour), coloured(RATE_AT, STEPS.rate)];
-  const opacityOf = byNumber(values[OPACITY_AT], (q) => Math.fround(octaves(q * step(OPACITY_AT))));
+  const opacityOf = byNumber(values[OPACITY_AT], (q) => Math.fround(opaque(q * step(OPACITY_AT))));
   const opacity = Float32Array.from({ length: count }, (_, i) => opacityOf(i));
   const [y, vy] = [lengths[1], lengths[4]];
   const shown = [];
@@ -282,9 +286,9 @@ export function packetOf({ count, code, identity, birth, values }, { index, star
   const binary16 = (k, value) => byNumber(values[k], (q) => halfBits(Math.fround(value(q * step(k)))));
   const steepness = binary16(GAMMA_AT, (q) => Math.expm1((q / 32) * Math.LN2));
   const widths = byNumber(values[GAMMA_AT + 1], (q) => unit(Math.fround((q * step(GAMMA_AT + 1)) / 256), 65535));
-  const scales = [0, 1].map((k) => binary16(SCALE_AT + k, octaves));
+  const scales = [0, 1].map((k) => binary16(SCALE_AT + k, sizes));
   const thickness = byNumber(values[THICKNESS_AT], (q) => {
-    const quarters = nearestTo(4 * (Math.log(Math.fround(octaves(q * step(THICKNESS_AT)))) * Math.LOG2E));
+    const quarters = nearestTo(4 * (Math.log(Math.fround(sizes(q * step(THICKNESS_AT)))) * Math.LOG2E));
     return Math.min(15, Math.max(-16, quarters)) & 31;
   });
   const [indexLow, indexHigh] = [Number(index & 0xffffffffn), Number(index >> 32n)];

@@ -30,23 +30,29 @@ def whole(values, steps):
     return np.rint(values.astype(np.float64) * steps).astype(int)
 
 
-def logarithm(values):
+def down(values):
+    """Rounded to the nearest, but down from up to 0.65 above a magnitude."""
+    return (np.sign(values) * np.floor(np.abs(values) + 0.35)).astype(int)
+
+
+def logarithm(values, steps=8):
     with np.errstate(divide='ignore'):
-        return np.clip(np.rint(16 * np.log2(values.astype(np.float64))), -2416, 2032).astype(int)
+        return np.clip(np.rint(steps * np.log2(values.astype(np.float64))), -151 * steps, 127 * steps).astype(int)
 
 
 def quantised(t):
     """The whole numbers of a scene's tensors, as in docs/container.md."""
     n = len(t['opacity'])
     out = {}
-    for name, steps in (('mean', (4096, 16384, 4096)), ('offset', (1024, 256, 1024)), ('velocity', (1024,) * 3)):
+    for name, steps in (('mean', (2048, 16384, 2048)), ('offset', (1024, 128, 1024)), ('velocity', (512,) * 3)):
         out |= {f'{name}_{axis}': whole(t[name][:, k], steps[k]) for k, axis in enumerate('xyz')}
-    for suffix, name, steps in (('', 'rgb', 128), ('_rate', 'rgb_rate', 32)):
-        red, green, blue = whole(t.get(name, np.zeros((n, 3))), steps).T
-        out |= {f'green{suffix}': green, f'red{suffix}': red - green, f'blue{suffix}': blue - green}
+    red, green, blue = whole(t['rgb'], 128).T
+    out |= {'green': green, 'red': red - green, 'blue': blue - green}
+    red, green, blue = 16 * t.get('rgb_rate', np.zeros((n, 3))).astype(np.float64).T
+    out |= {'green_rate': down(green), 'red_rate': down(red - down(green)), 'blue_rate': down(blue - down(green))}
     out |= {'scale_x': logarithm(t['scale'][:, 0]), 'scale_z': logarithm(t['scale'][:, 1]), 'thickness': logarithm(t.get('thickness', np.ones(n)))}
     gamma_0 = np.minimum(4092, np.rint(32 * np.log1p(t['gamma'][:, 0].astype(np.float64)) / np.log(2)))
-    return out | {'opacity': logarithm(t['opacity']), 'gamma_0': gamma_0.astype(int), 'gamma_1': whole(t['gamma'][:, 1], 256)}
+    return out | {'opacity': logarithm(t['opacity'], 16), 'gamma_0': gamma_0.astype(int), 'gamma_1': whole(t['gamma'][:, 1], 256)}
 
 
 def drawn(container, time, width, height):
@@ -130,12 +136,12 @@ def main(streamsplat, folder, path, *others):
             differ = np.flatnonzero(q[name] != values)
             check(not len(differ), f'interval {i}: {name}: {len(differ)} of {len(values)} differ, the first at {differ[:1]}')
             numbers += len(values)
-        steps = {'mean': np.array([4096, 16384, 4096]), 'velocity': 1024, 'offset': np.array([1024, 256, 1024]), 'rgb': 128, 'rgb_rate': 32}
+        steps = {'mean': np.array([2048, 16384, 2048]), 'velocity': 512, 'offset': np.array([1024, 128, 1024]), 'rgb': 128, 'rgb_rate': 16}
         for name, unit in steps.items():
             far = (np.abs(ours[name] - theirs.get(name, np.zeros_like(ours[name]))) * unit).max(initial=0)
             check(far <= (1.0 if 'rgb' in name else 0.5) + 1e-6, f'interval {i}: {name}: {far} steps off')
-        for name in ('scale', 'thickness', 'opacity'):
-            ratio = np.abs(np.log2(np.maximum(ours[name], 1e-30) / np.maximum(theirs.get(name, np.ones_like(ours[name])), 1e-30))).max(initial=0) * 16
+        for name, steps in (('scale', 8), ('thickness', 8), ('opacity', 16)):
+            ratio = np.abs(np.log2(np.maximum(ours[name], 1e-30) / np.maximum(theirs.get(name, np.ones_like(ours[name])), 1e-30))).max(initial=0) * steps
             check(ratio <= 0.5 + 1e-4, f'interval {i}: {name}: {ratio} steps off')
     size = (128, 72)
     off = ((drawn(container, 0.3, *size) - rendered(streamsplat, path, 0.3, *size)) ** 2).mean()

@@ -13,7 +13,7 @@ NAMES = ('kind link_row link code identity birth frame mean_x mean_y mean_z offs
          'velocity_x velocity_y velocity_z gamma_0 gamma_1 green_rate red_rate blue_rate thickness merge merge_into merge_other').split()
 MEAN, OFFSET, VELOCITY, RATES, THICKNESS = NAMES[7:10], NAMES[10:13], NAMES[19:22], NAMES[24:27], NAMES[27]
 BY_LINK = [*MEAN, *NAMES[13:19], THICKNESS]  # predicted by the linked record or by the last fresh or following one
-BY_LAST = [*VELOCITY, *NAMES[22:27]]  # predicted by the last record
+BY_LAST = [*VELOCITY, *NAMES[22:24]]  # predicted by the last record
 CHANGES = dict(zip(('green', 'red', 'blue'), RATES))
 CLASS = [0, 1, 2, 3, 3, 4, 4, 4, 5, 5, 5, 5, 5, 6, 6, 6, 6, 6, 6, 6, 6] + [7] * 483
 FRESH, CARRIED, FOLLOWING, KEPT, LIMIT, U64 = *range(4), 1 << 46, (1 << 64) - 1
@@ -158,22 +158,21 @@ class Container:
         records = dict(kind=kind, reference=code & 1, handover=code >> np.uint64(1), identity=identity, birth=birth, frame=frame)
         empty = [name for name in (*RATES, THICKNESS) if not raw[name][0]]
         difference = {name: np.zeros(n, int) if name in empty else numbers(name, raw[name], n, True) for name in NAMES[7:28]}
-        for name in BY_LAST:
-            records[name] = np.cumsum(difference[name])
+        records |= {name: np.cumsum(difference[name]) for name in BY_LAST} | {name: difference[name] for name in RATES}
         for name in BY_LINK:
             records[name] = np.zeros(n, int)
-            records[name][~old] = np.cumsum(difference[name][~old] + 32 * (name == 'mean_x'))
+            records[name][~old] = np.cumsum(difference[name][~old] + 16 * (name == 'mean_x'))
             records[name][old] = before[name][linked[old]] + difference[name][old] if old.any() else 0
         for name, change in CHANGES.items() if kept.any() else ():
-            records[name][kept] += 4 * before[change][linked[kept]]
-        for mean, offset, velocity, unit, step in zip(MEAN, OFFSET, VELOCITY, (4, 1, 4), (16, 64, 16)):
+            records[name][kept] += 8 * before[change][linked[kept]]
+        for mean, offset, velocity, unit, step in zip(MEAN, OFFSET, VELOCITY, (8, 1, 8), (16, 128, 16)):
             values = records[offset] = difference[offset].copy()
             values[old] += before[offset][linked[old]] if old.any() else 0
             for j in np.flatnonzero(following):
                 to = linked[j]
-                point = unit * records[mean][to] + step * values[to] + (16 * records[velocity][to] if records['reference'][to] == 0 else 0)
+                point = unit * records[mean][to] + step * values[to] + (32 * records[velocity][to] if records['reference'][to] == 0 else 0)
                 values[j] += max(-LIMIT, min(LIMIT, (point - unit * records[mean][j] + step // 2) // step))
-        ranges = {'gamma_0': (0, 4092), 'gamma_1': (0, LIMIT)} | dict.fromkeys(('opacity', 'scale_x', 'scale_z', THICKNESS), (-2416, 2032))
+        ranges = {'gamma_0': (0, 4092), 'gamma_1': (0, LIMIT), 'opacity': (-2416, 2032)} | dict.fromkeys(('scale_x', 'scale_z', THICKNESS), (-1208, 1016))
         for name in NAMES[7:28]:
             low, high = ranges.get(name, (-LIMIT, LIMIT))
             expect((records[name] >= low).all() and (records[name] <= high).all(), name, f'{low} to {high}', 'others')
@@ -192,9 +191,9 @@ class Container:
         q = self.whole(i)
         stack = lambda names, unit: np.stack([q[name] for name in names], 1) / unit
         colour = lambda g, r, b, unit: np.stack([q[r] + q[g], q[g], q[b] + q[g]], 1) / unit
-        exponent = lambda names: np.where((e := stack(names, 16)) == -2416 / 16, 0, 2.0 ** e)
+        exponent = lambda names, steps=8: np.where((e := stack(names, steps)) == -151, 0, 2.0 ** e)
         kept = {name: q[name] for name in ('reference', 'handover', 'identity', 'birth', 'frame', 'merges')}
         gamma = np.stack([2.0 ** (q['gamma_0'] / 32) - 1, q['gamma_1'] / 256], 1)
-        places = dict(mean=stack(MEAN, (4096, 16384, 4096)), velocity=stack(VELOCITY, 1024), offset=stack(OFFSET, (1024, 256, 1024)))
-        shapes = dict(opacity=exponent(('opacity',))[:, 0], scale=exponent(('scale_x', 'scale_z')), thickness=exponent((THICKNESS,))[:, 0])
-        return places | shapes | kept | dict(gamma=gamma, rgb=colour('green', 'red', 'blue', 128), rgb_rate=colour('green_rate', 'red_rate', 'blue_rate', 32))
+        places = dict(mean=stack(MEAN, (2048, 16384, 2048)), velocity=stack(VELOCITY, 512), offset=stack(OFFSET, (1024, 128, 1024)))
+        shapes = dict(opacity=exponent(('opacity',), 16)[:, 0], scale=exponent(('scale_x', 'scale_z')), thickness=exponent((THICKNESS,))[:, 0])
+        return places | shapes | kept | dict(gamma=gamma, rgb=colour('green', 'red', 'blue', 128), rgb_rate=colour('green_rate', 'red_rate', 'blue_rate', 16))

@@ -1,5 +1,5 @@
-// test.mjs NODE-MODULES STREAMSPLAT SCRATCH-FOLDER BROWSER; from the repository's root. The player in Chromium or Firefox. Pictures are written to the scratch
-// folder for inspection.
+// test.mjs NODE-MODULES STREAMSPLAT SCRATCH-FOLDER BROWSER [rate]; from the repository's root. The player in Chromium or Firefox. Pictures are written to the
+// scratch folder for inspection. `rate` measures the pictures per second alone, also with all pixels, and where the processor's time goes.
 
 import { existsSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
 import { check, chromium, open, psnr, run } from "../browser.mjs";
@@ -7,7 +7,7 @@ import { firefox } from "../firefox.mjs";
 import { indexOf, longer } from "./long.mjs";
 import { serve } from "./server.mjs";
 
-const [modules, streamsplat, scratch, name] = process.argv.slice(2);
+const [modules, streamsplat, scratch, name, part] = process.argv.slice(2);
 const CLIP = "fixtures/clips/moving.y4m";
 const SIZE = [512, 288];
 /** PSNR of the player's pictures against those of `render`, in dB: of its own drawing, and of other engines, which blend bytes. */
@@ -255,7 +255,7 @@ function memory() {
     }
   }
   const sum = (what) => found.reduce((sum, one) => sum + one[what], 0);
-  return { bytes: sum("bytes"), seconds: sum("ticks") / 100 };
+  return { bytes: sum("bytes"), seconds: sum("ticks") / 100, found };
 }
 
 /**
@@ -292,15 +292,16 @@ async function minute(page) {
   check(grown <= GROWTH, `a minute: expected ${megabytes(GROWTH)} more at most, found ${megabytes(grown)}`);
 }
 
-/** Pictures per second while it plays. */
-async function rate(page) {
+/** Pictures per second while it plays; `whole`: with all pixels, however long they take. */
+async function rate(page, whole = false) {
   await put(page, { src: "/scratch/scene.ssz", loop: "" });
   await shown(page);
+  if (whole) await page.evaluate(() => (window.element.player.pace.turn = () => false));
   await page.evaluate(() => window.element.play());
   // The level of detail settles.
   await pause(4000);
   const drawn = () => page.evaluate(() => [window.element.player.pictures, window.element.player.detail, performance.now()]);
-  const [before, work] = [await drawn(), memory().seconds];
+  const [before, work, threads] = [await drawn(), memory().seconds, part && threadTimes()];
   await pause(6000);
   const [after, worked] = [await drawn(), memory().seconds];
   const pictures = after[0] - before[0];
@@ -308,7 +309,27 @@ async function rate(page) {
   const each = (1000 * (worked - work)) / pictures;
   const { gaussians } = index.entries[1];
   console.log(`${name}: ${second.toFixed(1)} pictures a second of ${SIZE.join("x")}, ${gaussians} Gaussians, sides at ${after[1].toFixed(2)}; ${each.toFixed(0)} ms of processors' time each`);
+  if (part) {
+    for (const [thread, time] of threadTimes()) threads.set(thread, time - (threads.get(thread) ?? 0));
+    const most = [...threads].sort((a, b) => b[1] - a[1]).slice(0, 9);
+    console.log(most.map(([thread, time]) => `  ${((1000 * time) / pictures).toFixed(1)} ms a picture: ${thread}`).join("\n"));
+    return;
+  }
   check(second >= RATE / 6, `expected ${RATE} pictures a second, a sixth of them on a machine with other work, found ${second}`);
+}
+
+/** Seconds of the processor by process and thread, of this process's descendants. */
+function threadTimes() {
+  const times = new Map();
+  for (const { pid } of memory().found) {
+    const kind = /--type=(\S+)/.exec(readFileSync(`/proc/${pid}/cmdline`, "latin1").replaceAll("\0", " "))?.[1] ?? "main";
+    for (const thread of readdirSync(`/proc/${pid}/task`)) {
+      const [, called, rest] = /\((.*)\) (.*)/s.exec(readFileSync(`/proc/${pid}/task/${thread}/stat`, "latin1"));
+      const fields = rest.split(" ");
+      times.set(`${kind} ${pid}, ${called} ${thread}`, (Number(fields[11]) + Number(fields[12])) / 100);
+    }
+  }
+  return times;
 }
 
 /** The package and the clip on another site, whose headers the page may read or not. */
@@ -531,6 +552,13 @@ async function example() {
 const page = await opened(SIZE);
 await page.goto(`${server.address}/test/page.html`);
 await page.waitForFunction(() => window.ready);
+if (part === "rate") {
+  await rate(page);
+  await rate(page, true);
+  await browser.close();
+  if (browser !== compared) await compared.close();
+  process.exit();
+}
 await streaming(page);
 await seeking(page);
 await pictures(page);

@@ -158,19 +158,19 @@ fn the_stored_container_reads_back() {
         let (found, expected) = (found.gaussians, &expected.gaussians);
         assert_eq!((&found.identity, &found.birth), (&expected.identity, &expected.birth));
         let furthest = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        for (steps, a, b) in [
-            (4096.0, found.mean.as_flattened(), expected.mean.as_flattened()),
-            (1024.0, found.velocity.as_flattened(), expected.velocity.as_flattened()),
-            (128.0, found.rgb.as_flattened(), expected.rgb.as_flattened()),
-            (32.0, found.rgb_rate.as_flattened(), expected.rgb_rate.as_flattened()),
+        for (steps, most, a, b) in [
+            (2048.0, 0.501, found.mean.as_flattened(), expected.mean.as_flattened()),
+            (512.0, 0.501, found.velocity.as_flattened(), expected.velocity.as_flattened()),
+            (128.0, 0.501, found.rgb.as_flattened(), expected.rgb.as_flattened()),
+            (16.0, 0.651, found.rgb_rate.as_flattened(), expected.rgb_rate.as_flattened()),
         ] {
             let furthest = furthest(a, b) * steps;
-            assert!((0.1..0.501).contains(&furthest), "{furthest} of a step of 1/{steps}");
+            assert!((0.1..most).contains(&furthest), "{furthest} of a step of 1/{steps}");
         }
         let octaves = |values: &[f32]| values.iter().map(|value| value.log2()).collect::<Vec<_>>();
-        for (a, b) in [(&found.thickness, &expected.thickness), (&found.opacity, &expected.opacity)] {
+        for (steps, a, b) in [(8.0, &found.thickness, &expected.thickness), (16.0, &found.opacity, &expected.opacity)] {
             let furthest = furthest(&octaves(a), &octaves(b));
-            assert!(furthest < 0.501 / 16.0, "{furthest}");
+            assert!(furthest < 0.501 / steps, "{furthest}");
         }
     }
 }
@@ -182,7 +182,7 @@ fn store_the_container() {
 }
 
 #[test]
-fn the_shipped_clip_is_fifteen_times_smaller_at_48_db_and_keeps_its_tracks() {
+fn the_shipped_clip_is_seventeen_times_smaller_at_47_db_and_keeps_its_tracks() {
     let raw = scene();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("scene.ssz");
@@ -205,8 +205,8 @@ fn the_shipped_clip_is_fifteen_times_smaller_at_48_db_and_keeps_its_tracks() {
         }
     }
     println!("{before} bytes to {bytes}: {ratio:.2} times smaller, {worst:.2} dB at the worst");
-    assert!(ratio >= 15.0, "{before} bytes to {bytes}: {ratio:.2}");
-    assert!(worst >= 48.0, "{worst} dB");
+    assert!(ratio >= 17.0, "{before} bytes to {bytes}: {ratio:.2}");
+    assert!(worst >= 47.0, "{worst} dB");
 
     for pixel in [[64.0, 40.0], [128.0, 72.0], [200.0, 100.0]] {
         let time = 0.5 * (raw[1].start + raw[1].end);

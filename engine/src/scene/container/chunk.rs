@@ -69,6 +69,7 @@ impl Predictor {
     fn prediction(&self, kind: u64, linked: &Quantised, step: fn(&Value) -> i64) -> [i64; VALUES.len()] {
         std::array::from_fn(|k| match VALUES[k].by {
             By::Last => self.last.values[k],
+            By::Zero => 0,
             By::Grown if kind == KEPT => grown(&linked.values, k, step),
             _ if is_from_before(kind) => linked.values[k],
             By::Link | By::Grown => self.own.values[k],

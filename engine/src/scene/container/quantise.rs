@@ -22,6 +22,11 @@ fn whole(x: f64) -> i64 {
     (x.round_ties_even() as i64).clamp(-LIMIT, LIMIT)
 }
 
+/// `x` to a whole number, as a value's row states.
+fn rounded(x: f64, rounding: f64) -> i64 {
+    if rounding == 0.5 { whole(x) } else { whole((x.abs() + rounding).floor().copysign(x)) }
+}
+
 impl Quantised {
     /// Converts a sound record to whole numbers.
     pub(super) fn of(r: &Record) -> Self {
@@ -31,9 +36,10 @@ impl Quantised {
             let x = f64::from(*(row.of)(&mut record));
             let [least, most] = row.range;
             let q = match row.form {
-                Form::Steps(steps) => whole(x * steps),
+                Form::Steps(steps) => rounded(x * steps, row.rounding),
                 // Values so large that the difference passes the limit are not colours.
-                Form::Over(steps, back) => whole(x * steps) - values[i - back],
+                Form::Over(steps, back) if row.rounding == 0.5 => whole(x * steps) - values[i - back],
+                Form::Over(steps, back) => rounded(x * steps - values[i - back] as f64, row.rounding),
                 Form::Log2(steps) if x > 0.0 => whole(steps * (ln(x) * LOG2_E)),
                 Form::Log2(_) => least,
                 Form::Log2Plus1(steps) => whole(steps * (ln_1p(x) * LOG2_E)),

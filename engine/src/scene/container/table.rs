@@ -1,6 +1,6 @@
 //! The columns of a chunk, in storage order. A new value of a record is a row of [`VALUES`], after the others.
 
-use self::By::{Ahead, Grown, Last, Link, Track};
+use self::By::{Ahead, Grown, Last, Link, Track, Zero};
 use self::Form::{Log2, Log2Plus1, Over, Steps};
 use crate::stream::Record;
 
@@ -23,6 +23,8 @@ pub(super) struct Value {
     pub(super) range: [i64; 2],
     /// What predicts the whole number.
     pub(super) by: By,
+    /// What is added to a magnitude before it is rounded down: ½ rounds to the nearest, ties to even.
+    pub(super) rounding: f64,
     /// Steps of a container's whole numbers per step of a page's, which only draws. A page's steps are a quarter of a
     /// pixel of 512×288 along x and z, a 512th of inverse depth, an eighth of an octave of opacity, a quarter of an
     /// octave of scale and thickness, a 64th of a colour. A colour's divides [`GROWTH`] of its change's.
@@ -59,6 +61,8 @@ pub(super) enum By {
     Track,
     /// That of the last record.
     Last,
+    /// 0.
+    Zero,
 }
 
 /// The largest magnitude of a whole number.
@@ -73,42 +77,47 @@ const DEPTH: f64 = 16384.0;
 const PLACE: f64 = DEPTH / PLACE_UNIT as f64;
 const MOTION: f64 = DEPTH / VELOCITY_UNIT as f64;
 const TRACK: f64 = DEPTH / TRACK_UNIT as f64;
-/// Steps of depth in a step of a place across, of a velocity or an offset across, and of an offset in depth.
-const PLACE_UNIT: i64 = 4;
-pub(super) const VELOCITY_UNIT: i64 = 16;
-const TRACK_UNIT: i64 = 64;
+const TRACK_DEPTH: f64 = DEPTH / TRACK_DEPTH_UNIT as f64;
+/// Steps of depth in a step of a place across, of a velocity, of an offset across, and of an offset in depth.
+const PLACE_UNIT: i64 = 8;
+pub(super) const VELOCITY_UNIT: i64 = 32;
+const TRACK_UNIT: i64 = 16;
+const TRACK_DEPTH_UNIT: i64 = 128;
 pub(super) const MEAN_UNITS: [i64; 3] = [PLACE_UNIT, 1, PLACE_UNIT];
-pub(super) const OFFSET_UNITS: [i64; 3] = [VELOCITY_UNIT, TRACK_UNIT, VELOCITY_UNIT];
-/// Steps to an octave of a size or an opacity, and the whole numbers of the least binary32 and of the greatest.
-const OCTAVE: f64 = 16.0;
-const OCTAVES: [i64; 2] = [-2416, 2032];
+pub(super) const OFFSET_UNITS: [i64; 3] = [TRACK_UNIT, TRACK_DEPTH_UNIT, TRACK_UNIT];
+/// Steps to an octave of a size and of an opacity, and the whole numbers of the least binary32 and of the greatest.
+const SIZE: f64 = 8.0;
+const SIZES: [i64; 2] = [-1208, 1016];
+const OPACITY: f64 = 16.0;
+const OPACITIES: [i64; 2] = [-2416, 2032];
 const COLOUR: f64 = 128.0;
-/// Coarser than colours: it is multiplied by the time from the reference, and mostly visible where its Gaussian fades.
-const RATE: f64 = 32.0;
+/// Much coarser than colours: it is multiplied by the time from the reference, and mostly visible where its Gaussian
+/// fades. It is mostly noise of the fit around 0, so it is not predicted, and rounded down below 0.65 of a step.
+const RATE: f64 = 16.0;
 
 /// The values of a record.
 pub(super) const VALUES: [Value; 21] = [
-    value("mean_x", |r| &mut r.mean[0], Steps(PLACE), ANY, Ahead(32), 4),
+    value("mean_x", |r| &mut r.mean[0], Steps(PLACE), ANY, Ahead(16), 2),
     value("mean_y", |r| &mut r.mean[1], Steps(DEPTH), ANY, Link, 32),
-    value("mean_z", |r| &mut r.mean[2], Steps(PLACE), ANY, Link, 8),
-    value("offset_x", |r| &mut r.offset[0], Steps(MOTION), ANY, Track, 1),
-    value("offset_y", |r| &mut r.offset[1], Steps(TRACK), ANY, Track, 1),
-    value("offset_z", |r| &mut r.offset[2], Steps(MOTION), ANY, Track, 1),
-    value("opacity", |r| &mut r.opacity, Log2(OCTAVE), OCTAVES, Link, 2),
-    value("scale_x", |r| &mut r.scale[0], Log2(OCTAVE), OCTAVES, Link, 4),
-    value("scale_z", |r| &mut r.scale[1], Log2(OCTAVE), OCTAVES, Link, 4),
+    value("mean_z", |r| &mut r.mean[2], Steps(PLACE), ANY, Link, 4),
+    value("offset_x", |r| &mut r.offset[0], Steps(TRACK), ANY, Track, 1),
+    value("offset_y", |r| &mut r.offset[1], Steps(TRACK_DEPTH), ANY, Track, 1),
+    value("offset_z", |r| &mut r.offset[2], Steps(TRACK), ANY, Track, 1),
+    value("opacity", |r| &mut r.opacity, Log2(OPACITY), OPACITIES, Link, 2),
+    value("scale_x", |r| &mut r.scale[0], Log2(SIZE), SIZES, Link, 2),
+    value("scale_z", |r| &mut r.scale[1], Log2(SIZE), SIZES, Link, 2),
     value("green", |r| &mut r.rgb[1], Steps(COLOUR), ANY, Grown, 2),
     value("red", |r| &mut r.rgb[0], Over(COLOUR, 1), ANY, Grown, 3),
     value("blue", |r| &mut r.rgb[2], Over(COLOUR, 2), ANY, Grown, 3),
-    value("velocity_x", |r| &mut r.velocity[0], Steps(MOTION), ANY, Last, 2),
-    value("velocity_y", |r| &mut r.velocity[1], Steps(MOTION), ANY, Last, 2),
-    value("velocity_z", |r| &mut r.velocity[2], Steps(MOTION), ANY, Last, 2),
+    value("velocity_x", |r| &mut r.velocity[0], Steps(MOTION), ANY, Last, 1),
+    value("velocity_y", |r| &mut r.velocity[1], Steps(MOTION), ANY, Last, 1),
+    value("velocity_z", |r| &mut r.velocity[2], Steps(MOTION), ANY, Last, 1),
     value("gamma_0", |r| &mut r.gamma[0], Log2Plus1(32.0), [0, 4092], Last, 1),
     value("gamma_1", |r| &mut r.gamma[1], Steps(256.0), FROM_0, Last, 1),
-    value("green_rate", |r| &mut r.rgb_rate[1], Steps(RATE), ANY, Last, 3).rare(),
-    value("red_rate", |r| &mut r.rgb_rate[0], Over(RATE, 1), ANY, Last, 3).rare(),
-    value("blue_rate", |r| &mut r.rgb_rate[2], Over(RATE, 2), ANY, Last, 3).rare(),
-    value("thickness", |r| &mut r.thickness, Log2(OCTAVE), OCTAVES, Link, 4).rare(),
+    value("green_rate", |r| &mut r.rgb_rate[1], Steps(RATE), ANY, Zero, 2).rare().down(),
+    value("red_rate", |r| &mut r.rgb_rate[0], Over(RATE, 1), ANY, Zero, 3).rare().down(),
+    value("blue_rate", |r| &mut r.rgb_rate[2], Over(RATE, 2), ANY, Zero, 3).rare().down(),
+    value("thickness", |r| &mut r.thickness, Log2(SIZE), SIZES, Link, 2).rare(),
 ];
 /// The first row of each of the three from which tracked points follow.
 pub(super) const MEAN: usize = 0;
@@ -133,12 +142,17 @@ const fn value(
     by: By,
     coarseness: i64,
 ) -> Value {
-    Value { name, of, form, range, by, coarseness, rare: false }
+    Value { name, of, form, range, by, rounding: 0.5, coarseness, rare: false }
 }
 
 impl Value {
     const fn rare(self) -> Value {
         Value { rare: true, ..self }
+    }
+
+    /// With magnitudes that are rounded down below 0.65 of a step.
+    const fn down(self) -> Value {
+        Value { rounding: 0.35, ..self }
     }
 }
 
@@ -180,7 +194,7 @@ mod tests {
             assert_eq!(names[k + TO_RATE], format!("{}_rate", value.name));
             assert_eq!(GROWTH * VALUES[k + TO_RATE].coarseness % value.coarseness, 0);
             (values[k], values[k + TO_RATE]) = (10, 3);
-            assert_eq!(grown(&values, k, |_| 1), 22);
+            assert_eq!(grown(&values, k, |_| 1), 34);
             let coarse = GROWTH * VALUES[k + TO_RATE].coarseness / value.coarseness;
             assert_eq!(grown(&values, k, |value| value.coarseness), 10 + 3 * coarse);
         }
