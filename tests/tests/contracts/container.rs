@@ -221,7 +221,8 @@ fn the_shipped_clip_is_seventeen_times_smaller_at_47_db_and_keeps_its_tracks() {
             for (p, q) in points.iter().zip(&others) {
                 assert_eq!((p.identity, p.time), (q.identity, q.time));
                 let away = (0..2).map(|i| (p.pixel[i] - q.pixel[i]).abs()).fold(0.0, f64::max);
-                assert!(away < 0.2, "{away} pixels");
+                // A step of velocity is a quarter of a pixel of 256×144.
+                assert!(away < 0.35, "{away} pixels");
             }
             (a, b) = (next, other);
         }
