@@ -3,6 +3,7 @@
 import { spawn, spawnSync } from "node:child_process";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
+import { basename } from "node:path";
 
 /** Debian's Chromium, driven by the playwright-core in the folder of packages `modules`. Colours are returned unchanged. */
 export async function chromium(modules, ...more) {
@@ -43,6 +44,25 @@ export async function picture(page) {
   }
   throw new Error("expected a page at rest, found another picture each time");
 }
+
+/** Compares the packet that the worker of a page from `view` makes of the same file with the served one; returns the number of bytes that differ. */
+export const differing = (page, path) =>
+  page.evaluate(async ([name, bytes]) => {
+    const file = new File([Uint8Array.from(atob(bytes), (c) => c.charCodeAt(0))], name);
+    const worker = new Worker(URL.createObjectURL(new Blob([document.getElementById("worker").textContent])));
+    const { buffer, still, error } = await new Promise((done) => {
+      worker.onmessage = ({ data }) => done(data);
+      worker.postMessage({ kind: "file", file, most: 1e6, ticket: 1 });
+    });
+    worker.terminate();
+    if (error) throw new Error(error);
+    const served = new Uint8Array(await (await fetch("interval/0")).arrayBuffer());
+    const about = (await (await fetch("scene.json?from=0")).json()).still;
+    const own = new Uint8Array(buffer);
+    const same = Object.keys(about).every((key) => JSON.stringify(about[key]) === JSON.stringify(still[key]));
+    if (!same || own.length !== served.length) throw new Error(`${JSON.stringify(still)}, served ${JSON.stringify(about)}`);
+    return own.reduce((sum, byte, i) => sum + (byte === served[i] ? 0 : 1), 0);
+  }, [basename(path), readFileSync(path).toString("base64")]);
 
 /** Runs a program to its end; returns its standard output. */
 export function run(program, ...args) {

@@ -27,7 +27,7 @@ const isForSome = (column) => column === LINK_ROW || column === LINK || (column 
 /** Columns of which only the lengths are read. */
 const isSkipped = (column) => column >= MERGE || (column >= FIRST + OFFSET_AT && column < FIRST + OPACITY_AT);
 /** Integers per world unit of means and of velocities, per octave of opacities and of sizes, and per unit of colours and of their changes. */
-const STEPS = { across: 2048, depth: 16384, motion: 512, opacity: 16, size: 8, colour: 128, rate: 16 };
+const STEPS = { across: 2048, depth: 16384, motion: 1024, opacity: 16, size: 8, colour: 128, rate: 16 };
 /** The largest magnitude of the integers, and the ranges of logarithms. */
 const LIMIT = 2 ** 46;
 const [LEAST_OPACITY, MOST_OPACITY, LEAST_SIZE, MOST_SIZE, MOST_GAMMA] = [-2416, 2032, -1208, 1016, 4092];
@@ -166,7 +166,7 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
   }
   for (const column of [linkRow, link, identities, births, frames]) column.end();
   const values = Array.from({ length: VALUES }, () => null);
-  for (const k of [...SINCE_LINK, ...SINCE_LAST, ...SINCE_NOTHING]) values[k] = new Float64Array(count);
+  for (const k of [...SINCE_LINK, ...SINCE_LAST]) values[k] = new Float64Array(count);
   for (const k of SINCE_LINK) {
     const [differences, mine, theirs] = [differencesOf(k), values[k], before.values?.[k]];
     // A kept record's colour has grown by its change.
@@ -184,7 +184,7 @@ export function decode(chunk, before, { count = null, coarseness = null } = {}) 
     const differences = differencesOf(k);
     if (differences) for (let i = 0, last = 0; i < count; i++) last = values[k][i] = last + differences[i];
   }
-  for (const k of SINCE_NOTHING) values[k] = differencesOf(k) ?? values[k];
+  for (const k of SINCE_NOTHING) values[k] = differencesOf(k) ?? new Float64Array(count);
   for (const [k, column] of values.entries()) if (column) checkRange(column, k, coarseness?.[k] ?? 1);
   return { count, code, identity, birth, frame, values };
 }

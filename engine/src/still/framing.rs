@@ -41,6 +41,13 @@ impl Still {
     /// centres, and 15 % of that width at either end, limited by the outermost centres. Gaussians with an opacity under
     /// 0.1 are ignored if there are others. With the scene's offset. `None` where no centre is finite.
     pub fn framing(&self) -> Option<Framing> {
+        let corner = |corner: [f64; 3]| std::array::from_fn(|axis| corner[axis] + self.about.offset[axis]);
+        let [least, greatest] = self.middle()?.map(corner);
+        Some(Framing { least, greatest, orbit: self.about.orbit.filter(Orbit::is_set) })
+    }
+
+    /// Least and greatest coordinates of the box of [`Self::framing`], relative to the scene's offset.
+    pub(crate) fn middle(&self) -> Option<[[f64; 3]; 2]> {
         let finite = |m: &[f32; 3]| m.iter().all(|x| x.is_finite());
         let solid = || self.mean.iter().zip(&self.logit).filter(|(m, logit)| finite(m) && **logit >= OPAQUE);
         let mut centres: Vec<[f32; 3]> = solid().map(|(m, _)| *m).collect();
@@ -52,10 +59,9 @@ impl Still {
             let along = centres.iter().map(|m| m[axis]).collect();
             let [first, low, high, last] = quantiles(along, [0.0, FLOATERS, 1.0 - FLOATERS, 1.0])?.map(f64::from);
             let around = AROUND * (high - low);
-            let offset = self.about.offset[axis];
-            (least[axis], greatest[axis]) = (first.max(low - around) + offset, last.min(high + around) + offset);
+            (least[axis], greatest[axis]) = (first.max(low - around), last.min(high + around));
         }
-        Some(Framing { least, greatest, orbit: self.about.orbit.filter(Orbit::is_set) })
+        Some([least, greatest])
     }
 }
 

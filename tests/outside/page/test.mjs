@@ -5,7 +5,8 @@ import { readFileSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { basename } from "node:path";
 import { gzipSync } from "node:zlib";
-import { check, chromium, open, picture, psnr, run, start } from "../browser.mjs";
+import { check, chromium, differing, open, picture, psnr, run, start } from "../browser.mjs";
+import { documented, metaChanged } from "./files.mjs";
 
 const [modules, streamsplat, scratch] = process.argv.slice(2);
 const CLIP = "fixtures/clips/moving.y4m"; // 256×144
@@ -331,25 +332,6 @@ async function opened(page, name) {
   return picture(page);
 }
 
-/** Compares the packet that the page's worker makes of a file with the served one; returns the number of bytes that differ. */
-const differing = (page, path) =>
-  page.evaluate(async ([name, bytes]) => {
-    const file = new File([Uint8Array.from(atob(bytes), (c) => c.charCodeAt(0))], name);
-    const worker = new Worker(URL.createObjectURL(new Blob([document.getElementById("worker").textContent])));
-    const { buffer, still, error } = await new Promise((done) => {
-      worker.onmessage = ({ data }) => done(data);
-      worker.postMessage({ kind: "file", file, most: 1e6, ticket: 1 });
-    });
-    worker.terminate();
-    if (error) throw new Error(error);
-    const served = new Uint8Array(await (await fetch("interval/0")).arrayBuffer());
-    const about = (await (await fetch("scene.json?from=0")).json()).still;
-    const own = new Uint8Array(buffer);
-    const same = Object.keys(about).every((key) => JSON.stringify(about[key]) === JSON.stringify(still[key]));
-    if (!same || own.length !== served.length) throw new Error(`${JSON.stringify(still)} beside ${JSON.stringify(about)}`);
-    return own.reduce((sum, byte, i) => sum + (byte === served[i] ? 0 : 1), 0);
-  }, [basename(path), readFileSync(path).toString("base64")]);
-
 /** Files that are dropped on the page or chosen: each equals that of `view`, to the byte; invalid files leave the scene unchanged. */
 async function files(address) {
   const source = `${scratch}/cloud.ply`;
@@ -359,6 +341,10 @@ async function files(address) {
     paths.push(`${scratch}/${name}`);
     run(streamsplat, "export", source, "--out", paths.at(-1), "--quiet");
   }
+  // Far from the origin: the translation's whole numbers are the scene's offset.
+  const glb = readFileSync(paths.at(-1));
+  paths.push(`${scratch}/far.glb`);
+  writeFileSync(paths.at(-1), documented(glb, ({ nodes }) => void (nodes[0].translation = [5000.75, -4096.5, 1.25])));
   for (const [version, degree, flags = 0, width] of [[2, 0], [3, 3], [3, 4], [3, 1, 1], [1, 1], [1, 0, 0, 9]]) {
     paths.push(`${scratch}/version-${version}-${degree}-${flags}-${width ?? "own"}.spz`);
     writeFileSync(paths.at(-1), spz(version, degree, undefined, flags, width));
@@ -433,6 +419,10 @@ async function refused(page, [ply, packed, splat, sog, glb], newer) {
   const newest = readFileSync(newer);
   /** Changes the first byte of the first frame. */
   const broken = (bytes) => ((bytes = Buffer.from(bytes)), (bytes[bytes.readUInt32LE(16) + 16 * bytes[15]] ^= 1), bytes);
+  const chunks = (bytes) => {
+    const file = Buffer.concat([bytes.subarray(0, 12), Buffer.alloc(8 * 1000), bytes.subarray(12)]);
+    return header(8, file.length)(file);
+  };
   const all = [
     ["cut.ply", whole.subarray(0, -5), "element vertex: expected 4000 of 236 bytes each, found 943995 bytes"],
     ["long.ply", Buffer.concat([whole, records]), "file: expected its end after the last element, found"],
@@ -466,9 +456,19 @@ async function refused(page, [ply, packed, splat, sog, glb], newer) {
     ["flipped.sog", flipped(zipped, zipped.indexOf("WEBPVP8L") + 60), ".webp: expected the checksum of its bytes, found another"],
     ["a.glb", Buffer.from("glTF\x02\x00\x00\x00"), "header: expected 12 bytes, found 8"],
     ["cut.glb", binary.subarray(0, -4), `header: length: expected ${binary.length - 4} bytes, found ${binary.length}`],
-    ["mesh.glb", changed(binary, '"mode":0', '"mode":4'), `mesh: primitives: expected one of points with KHR_gaussian_splatting, found`],
+    ["mesh.glb", changed(binary, '"mode":0', '"mode":4'), `mesh: primitives: expected one of points with KHR_gaussian_splatting, without indices, found`],
     ["short.glb", changed(binary, '"type":"SCALAR"', '"type":"MATRIX"'), "attribute KHR_gaussian_splatting:OPACITY: expected binary32 numbers of the type SCALAR, found"],
     ["many.glb", changed(binary, '"count":4000', '"count":4001'), "attribute POSITION: expected 48012 bytes in the file's buffer, found"],
+    ["indices.glb", documented(binary, ({ meshes }) => void (meshes[0].primitives[0].indices = 0)), "mesh: primitives: expected one of points with KHR_gaussian_splatting, without indices, found"],
+    ["packed.glb", documented(binary, ({ bufferViews }) => void (bufferViews[0].extensions = { EXT_meshopt_compression: {} })), "attribute POSITION: expected numbers one after another in the file, found"],
+    ["word.glb", documented(binary, ({ nodes }) => void (nodes[0].translation = 1)), 'node: translation: expected three numbers, found "1"'],
+    ["list.glb", documented(binary, ({ meshes }) => void (meshes[0].primitives[0].attributes = [])), "attribute POSITION: expected one in the file, found"],
+    ["none.glb", documented(binary, ({ meshes }) => void delete meshes[0].primitives[0].attributes), "primitive: attributes: expected those of Gaussians, found"],
+    ["deep.glb", documented(binary, (all) => JSON.stringify(all).replace('"mesh":0', `"mesh":0,"matrix":${"[".repeat(1e5)}${"]".repeat(1e5)}`)), "node: matrix: expected none, found"],
+    ["chunks.glb", chunks(binary), "chunks: expected at most 64, found more"],
+    ["infinite.sog", metaChanged(zipped, /(?<="mins":\[)[^,]+/, "1e999"), "meta.json: means.mins: expected 3 of the type number, found"],
+    ["named.sog", metaChanged(zipped, /"means_l.webp"/, '"means\\nx.web"'), '"means\\nx.web": expected a file in the zip file, found none'],
+    ["count.sog", metaChanged(zipped, /"count":\d+/, '"count":-9'), 'meta.json: count: expected 0 to 9007199254740991, found "-9"'],
     ["scene.json", Buffer.from("{}"), `found JSON that names other files ${view}`],
     ["a.mp4", Buffer.from("\x00\x00\x00\x20ftypisom"), "found a video (make a scene of it with: streamsplat run FILE)"],
     ["empty", Buffer.alloc(0), "found an empty file"],

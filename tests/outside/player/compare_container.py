@@ -31,7 +31,7 @@ def whole(values, steps):
 
 
 def down(values):
-    """Rounded to the nearest, but down from up to 0.65 above a magnitude."""
+    """⌊|x| + 0.35⌋ with the sign of x."""
     return (np.sign(values) * np.floor(np.abs(values) + 0.35)).astype(int)
 
 
@@ -44,7 +44,7 @@ def quantised(t):
     """The whole numbers of a scene's tensors, as in docs/container.md."""
     n = len(t['opacity'])
     out = {}
-    for name, steps in (('mean', (2048, 16384, 2048)), ('offset', (1024, 128, 1024)), ('velocity', (512,) * 3)):
+    for name, steps in (('mean', (2048, 16384, 2048)), ('offset', (1024, 128, 1024)), ('velocity', (1024,) * 3)):
         out |= {f'{name}_{axis}': whole(t[name][:, k], steps[k]) for k, axis in enumerate('xyz')}
     red, green, blue = whole(t['rgb'], 128).T
     out |= {'green': green, 'red': red - green, 'blue': blue - green}
@@ -136,10 +136,10 @@ def main(streamsplat, folder, path, *others):
             differ = np.flatnonzero(q[name] != values)
             check(not len(differ), f'interval {i}: {name}: {len(differ)} of {len(values)} differ, the first at {differ[:1]}')
             numbers += len(values)
-        steps = {'mean': np.array([2048, 16384, 2048]), 'velocity': 512, 'offset': np.array([1024, 128, 1024]), 'rgb': 128, 'rgb_rate': 16}
+        steps = {'mean': np.array([2048, 16384, 2048]), 'velocity': 1024, 'offset': np.array([1024, 128, 1024]), 'rgb': 128, 'rgb_rate': 16}
         for name, unit in steps.items():
             far = (np.abs(ours[name] - theirs.get(name, np.zeros_like(ours[name]))) * unit).max(initial=0)
-            check(far <= (1.0 if 'rgb' in name else 0.5) + 1e-6, f'interval {i}: {name}: {far} steps off')
+            check(far <= (0.65 if name == 'rgb_rate' else 0.5) + 1e-6, f'interval {i}: {name}: {far} steps off')
         for name, steps in (('scale', 8), ('thickness', 8), ('opacity', 16)):
             ratio = np.abs(np.log2(np.maximum(ours[name], 1e-30) / np.maximum(theirs.get(name, np.ones_like(ours[name])), 1e-30))).max(initial=0) * steps
             check(ratio <= 0.5 + 1e-4, f'interval {i}: {name}: {ratio} steps off')

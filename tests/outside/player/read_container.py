@@ -170,7 +170,7 @@ class Container:
             values[old] += before[offset][linked[old]] if old.any() else 0
             for j in np.flatnonzero(following):
                 to = linked[j]
-                point = unit * records[mean][to] + step * values[to] + (32 * records[velocity][to] if records['reference'][to] == 0 else 0)
+                point = unit * records[mean][to] + step * values[to] + (16 * records[velocity][to] if records['reference'][to] == 0 else 0)
                 values[j] += max(-LIMIT, min(LIMIT, (point - unit * records[mean][j] + step // 2) // step))
         ranges = {'gamma_0': (0, 4092), 'gamma_1': (0, LIMIT), 'opacity': (-2416, 2032)} | dict.fromkeys(('scale_x', 'scale_z', THICKNESS), (-1208, 1016))
         for name in NAMES[7:28]:
@@ -194,6 +194,6 @@ class Container:
         exponent = lambda names, steps=8: np.where((e := stack(names, steps)) == -151, 0, 2.0 ** e)
         kept = {name: q[name] for name in ('reference', 'handover', 'identity', 'birth', 'frame', 'merges')}
         gamma = np.stack([2.0 ** (q['gamma_0'] / 32) - 1, q['gamma_1'] / 256], 1)
-        places = dict(mean=stack(MEAN, (2048, 16384, 2048)), velocity=stack(VELOCITY, 512), offset=stack(OFFSET, (1024, 128, 1024)))
+        places = dict(mean=stack(MEAN, (2048, 16384, 2048)), velocity=stack(VELOCITY, 1024), offset=stack(OFFSET, (1024, 128, 1024)))
         shapes = dict(opacity=exponent(('opacity',), 16)[:, 0], scale=exponent(('scale_x', 'scale_z')), thickness=exponent((THICKNESS,))[:, 0])
         return places | shapes | kept | dict(gamma=gamma, rgb=colour('green', 'red', 'blue', 128), rgb_rate=colour('green_rate', 'red_rate', 'blue_rate', 16))

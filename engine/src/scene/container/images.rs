@@ -32,11 +32,29 @@ impl ImageChunks {
     }
 }
 
-/// In a page's steps, rounded half up.
+/// In a page's steps, rounded to the nearest, halves towards zero: changes of colour of one step either way are alike.
 fn coarser(mut record: Quantised) -> Quantised {
     for (value, Value { coarseness, by, .. }) in record.values.iter_mut().zip(&VALUES) {
         // Tracked points, which no column holds, must not predict anything.
-        *value = if let By::Track = by { 0 } else { (2 * *value + coarseness).div_euclid(2 * coarseness) };
+        *value = if let By::Track = by { 0 } else { nearest(*value, *coarseness) };
     }
     record
+}
+
+/// x/step, rounded to the nearest, halves towards zero.
+fn nearest(x: i64, step: i64) -> i64 {
+    x.signum() * ((2 * x.abs() + step - 1) / (2 * step))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::nearest;
+
+    #[test]
+    fn halves_go_towards_zero() {
+        let rounded = |step| (-5..6).map(|x| nearest(x, step)).collect::<Vec<_>>();
+        assert_eq!(rounded(1), (-5..6).collect::<Vec<_>>());
+        assert_eq!(rounded(2), [-2, -2, -1, -1, 0, 0, 0, 1, 1, 2, 2]);
+        assert_eq!(rounded(3), [-2, -1, -1, -1, 0, 0, 0, 1, 1, 1, 2]);
+    }
 }

@@ -80,7 +80,7 @@ const TRACK: f64 = DEPTH / TRACK_UNIT as f64;
 const TRACK_DEPTH: f64 = DEPTH / TRACK_DEPTH_UNIT as f64;
 /// Steps of depth in a step of a place across, of a velocity, of an offset across, and of an offset in depth.
 const PLACE_UNIT: i64 = 8;
-pub(super) const VELOCITY_UNIT: i64 = 32;
+pub(super) const VELOCITY_UNIT: i64 = 16;
 const TRACK_UNIT: i64 = 16;
 const TRACK_DEPTH_UNIT: i64 = 128;
 pub(super) const MEAN_UNITS: [i64; 3] = [PLACE_UNIT, 1, PLACE_UNIT];
@@ -109,9 +109,9 @@ pub(super) const VALUES: [Value; 21] = [
     value("green", |r| &mut r.rgb[1], Steps(COLOUR), ANY, Grown, 2),
     value("red", |r| &mut r.rgb[0], Over(COLOUR, 1), ANY, Grown, 3),
     value("blue", |r| &mut r.rgb[2], Over(COLOUR, 2), ANY, Grown, 3),
-    value("velocity_x", |r| &mut r.velocity[0], Steps(MOTION), ANY, Last, 1),
-    value("velocity_y", |r| &mut r.velocity[1], Steps(MOTION), ANY, Last, 1),
-    value("velocity_z", |r| &mut r.velocity[2], Steps(MOTION), ANY, Last, 1),
+    value("velocity_x", |r| &mut r.velocity[0], Steps(MOTION), ANY, Last, 2),
+    value("velocity_y", |r| &mut r.velocity[1], Steps(MOTION), ANY, Last, 2),
+    value("velocity_z", |r| &mut r.velocity[2], Steps(MOTION), ANY, Last, 2),
     value("gamma_0", |r| &mut r.gamma[0], Log2Plus1(32.0), [0, 4092], Last, 1),
     value("gamma_1", |r| &mut r.gamma[1], Steps(256.0), FROM_0, Last, 1),
     value("green_rate", |r| &mut r.rgb_rate[1], Steps(RATE), ANY, Zero, 2).rare().down(),

@@ -105,7 +105,7 @@ fn intervals_come_back_in_any_order_as_closely_as_is_said() {
             assert!(close(&across(&a), &across(&b), 0.501 / 2048.0));
             assert!(close(&a.mean[1..2], &b.mean[1..2], 0.501 / 16384.0));
             let across = |r: &Record| [r.offset[0], r.offset[2]];
-            assert!(close(&a.velocity, &b.velocity, 0.501 / 512.0) && close(&across(&a), &across(&b), 0.501 / 1024.0));
+            assert!(close(&a.velocity, &b.velocity, 0.501 / 1024.0) && close(&across(&a), &across(&b), 0.501 / 1024.0));
             assert!(close(&a.offset[1..2], &b.offset[1..2], 0.501 / 128.0));
             assert!(close(&a.rgb, &b.rgb, 0.501 / 128.0) && close(&a.rgb_rate, &b.rgb_rate, 0.651 / 16.0));
             let octaves = |r: &Record| [r.scale[0], r.scale[1], r.thickness].map(f32::log2);

@@ -7,6 +7,27 @@ const Y0 = 0.28209479177387814;
 /** Text as it can be shown in a message of one line. */
 const quoted = (text) => JSON.stringify(text.slice(0, 40));
 
+/** A value of JSON for such a message; what lies too deep for that is named. */
+function shown(value) {
+  try {
+    return quoted(JSON.stringify(value) ?? "none");
+  } catch {
+    return "a value of many levels";
+  }
+}
+
+/** The name of a part of a file, as it is where that is plain. */
+const partNamed = (name) => (/^[\w.-]{1,40}$/.test(name) ? name : quoted(name));
+
+/** Room for bytes of a part of a file. */
+function roomFor(length, part) {
+  try {
+    return new Uint8Array(length);
+  } catch {
+    throw wrong(part, `room for ${length} bytes`, "less");
+  }
+}
+
 /** A hint at the program, where that reads more than the page does. */
 const program = (command = "view") => `(${command === "view" ? "open it" : "make a scene of it"} with: streamsplat ${command} FILE)`;
 
@@ -24,6 +45,7 @@ function checkCount(part, count, most) {
 
 /** `length` bytes of a file. */
 async function viewOf(file, start, length) {
+  if (start + length > file.size) throw wrong("file", `${length} bytes from byte ${start} on`, Math.max(0, file.size - start));
   const buffer = await file.slice(start, start + length).arrayBuffer();
   if (buffer.byteLength !== length) throw wrong("file", `${length} bytes from byte ${start} on`, buffer.byteLength);
   return new DataView(buffer);

@@ -26,26 +26,26 @@ function jsonOf(bytes, part) {
 /** A value of meta.json, which must be a list of `count` numbers or texts. */
 function listOf(meta, path, count, kind) {
   const value = path.split(".").reduce((found, key) => found?.[key], meta);
-  const fits = Array.isArray(value) && value.length === count && value.every((one) => typeof one === kind);
-  if (!fits) throw wrong(`meta.json: ${path}`, `${count} of the type ${kind}`, quoted(JSON.stringify(value) ?? "none"));
+  const fits = Array.isArray(value) && value.length === count && value.every((one) => typeof one === kind && (kind !== "number" || Number.isFinite(one)));
+  if (!fits) throw wrong(`meta.json: ${path}`, `${count} of the type ${kind}`, shown(value));
   return value;
 }
 
 /** A whole number of meta.json within bounds. */
 function numberOf(value, path, low, high) {
-  if (!Number.isInteger(value) || value < low || value > high) throw wrong(`meta.json: ${path}`, `${low} to ${high}`, quoted(JSON.stringify(value) ?? "none"));
+  if (!Number.isInteger(value) || value < low || value > high) throw wrong(`meta.json: ${path}`, `${low} to ${high}`, shown(value));
   return value;
 }
 
 /** The description of a scene, checked. */
 function metaOf(bytes, most) {
   const meta = jsonOf(bytes, "meta.json");
-  if (meta?.version !== 2) throw wrong("meta.json: version", "2", `${quoted(JSON.stringify(meta?.version) ?? "none")} ${program()}`);
+  if (meta?.version !== 2) throw wrong("meta.json: version", "2", `${shown(meta?.version)} ${program()}`);
   const table = (path) => Float32Array.from(listOf(meta, `${path}.codebook`, 256, "number"));
   const { count, shN, model } = meta;
   numberOf(count, "count", 0, Number.MAX_SAFE_INTEGER);
   checkCount("meta.json: count", count, most);
-  const higher = shN && {
+  const higher = shN != null && {
     rows: numberOf(shN.count, "shN.count", 1, MOST_ROWS_OF_SOG),
     degree: numberOf(shN.bands, "shN.bands", 1, 3),
     table: table("shN"),
@@ -60,7 +60,7 @@ function metaOf(bytes, most) {
     turns: { files: listOf(meta, "quats.files", 1, "string") },
     colours: { table: table("sh0"), files: listOf(meta, "sh0.files", 1, "string") },
     antialiased: model === "antialiased",
-    note: known ? "" : `meta.json: model ${quoted(String(model))} is not known: taken as "default"`,
+    note: known ? "" : `meta.json: model ${quoted(typeof model === "string" ? model : "?")} is not known: taken as "default"`,
   };
 }
 
@@ -68,6 +68,7 @@ function metaOf(bytes, most) {
 async function imageOf(file, entries, name, least) {
   const most = least ? Math.max(2 * least, 2 ** 16) : 2 ** 20;
   const bytes = await unzipped(file, entries, name, 8 * most);
+  name = partNamed(name);
   const head = String.fromCharCode(...bytes.subarray(0, 16));
   if (bytes.length < 25 || !/^RIFF....WEBPVP8L$/s.test(head)) throw wrong(name, "a lossless WebP image", `${quoted(head)} ${program()}`);
   const word = new DataView(bytes.buffer, bytes.byteOffset).getUint32(21, true);
@@ -90,7 +91,7 @@ async function sogFile(file, most) {
     centroids = await imageOf(file, entries, higher.files[0], 0);
     const lines = Math.ceil(higher.rows / SOG_ROWS);
     const found = `${centroids.width}×${centroids.height}`;
-    if (centroids.width < SOG_ROWS * width || centroids.height < lines) throw wrong(higher.files[0], `${SOG_ROWS * width}×${lines} pixels at least`, found);
+    if (centroids.width < SOG_ROWS * width || centroids.height < lines) throw wrong(partNamed(higher.files[0]), `${SOG_ROWS * width}×${lines} pixels at least`, found);
     labels = (await imageOf(file, entries, higher.files[1], count)).pixels;
   }
   const writer = new StillWriter(count, degree, antialiased);
@@ -107,7 +108,7 @@ async function sogFile(file, most) {
     row.set(sogRotation(rotations, at, i), QUATERNION);
     if (higher) {
       const label = labels[at] | (labels[at + 1] << 8);
-      if (label >= higher.rows) throw wrong(`${higher.files[1]}: label ${i}`, `one of ${higher.rows} rows`, label);
+      if (label >= higher.rows) throw wrong(`${partNamed(higher.files[1])}: label ${i}`, `one of ${higher.rows} rows`, label);
       const from = 4 * (Math.floor(label / SOG_ROWS) * centroids.width + (label % SOG_ROWS) * width);
       for (let k = 0; k < 3 * width; k++) row[HIGHER + k] = higher.table[centroids.pixels[from + 4 * Math.floor(k / 3) + (k % 3)]];
     }

@@ -42,6 +42,8 @@ pub struct StillSource {
     title: String,
     format: &'static str,
     framing: Framing,
+    /// The framing's box, relative to the scene's offset as the page's centres are.
+    middle: [[f64; 3]; 2],
     scene: Drawable,
     packet: Arc<[u8]>,
     workers: Workers,
@@ -65,19 +67,17 @@ impl StillSource {
     /// # Errors
     /// A scene without a Gaussian that has a finite centre; arrays that differ in length.
     pub fn new(title: impl Into<String>, file: StillFile, workers: Workers) -> Result<StillSource, StillError> {
-        let framing = file.still.framing().ok_or_else(|| StillError::Nowhere(file.path.display().to_string()))?;
+        let nowhere = || StillError::Nowhere(file.path.display().to_string());
+        let (framing, middle) = file.still.framing().zip(file.still.middle()).ok_or_else(nowhere)?;
         let scene = Drawable::new(file.still, &workers)?;
         let packet = workers.install(|| packet::packet(&scene)).into();
-        Ok(StillSource { title: title.into(), format: file.format, framing, scene, packet, workers })
+        Ok(StillSource { title: title.into(), format: file.format, framing, middle, scene, packet, workers })
     }
 }
 
 impl Source for StillSource {
     fn describe(&self, from: usize) -> Description {
-        let Framing { least, greatest, .. } = self.framing;
-        // The page's centres are relative to the offset.
-        let offset = self.scene.still().about.offset;
-        let [least, greatest] = [least, greatest].map(|corner| std::array::from_fn(|k| corner[k] - offset[k]));
+        let [least, greatest] = self.middle;
         let instant = IntervalTimes { start: 0.0, end: 0.0, gaussians: self.scene.still().len() };
         Description {
             title: self.title.clone(),
