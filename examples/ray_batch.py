@@ -16,9 +16,16 @@ from pathlib import Path
 import streamsplat_cpu
 
 
+VIDEOS = {".y4m", ".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi"}
+
+
 def clips_in(folder: Path) -> list[Path]:
-    """Videos and folders of images, in order of their names."""
-    return sorted(p for p in folder.iterdir() if not p.name.startswith(".") and (p.is_dir() or p.suffix in {".y4m", ".mp4", ".mkv", ".webm"}))
+    """Videos and folders of images, in order of their names; other files are named on standard error."""
+    names = sorted(p for p in folder.iterdir() if not p.name.startswith("."))
+    clips = [p for p in names if p.is_dir() or p.suffix.lower() in VIDEOS]
+    for other in (p for p in names if p not in clips):
+        print(f"{other}: not a clip by its name, left out", file=sys.stderr)
+    return clips
 
 
 def work_on(clip: Path, out: Path, gap: int, threads: int | None) -> str:

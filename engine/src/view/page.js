@@ -245,8 +245,11 @@ function describe() {
   const [start, end] = store.span;
   const digits = end - start < 100 ? 2 : 1;
   write("clock", `${state.time.toFixed(digits)} / ${end.toFixed(digits)} s`);
-  const of = store.about.live && !store.about.complete ? "" : ` of ${store.times.length}`;
-  write("facts", `${count(packet.count, "Gaussian")} · interval ${interval + 1}${of} · ${Number(store.about.fps.toFixed(3))} fps`);
+  // The instant before the first interval is not counted.
+  const [first] = store.times;
+  const instant = store.times.length > 1 && first.end === first.start ? 1 : 0;
+  const of = store.about.live && !store.about.complete ? "" : ` of ${store.times.length - instant}`;
+  write("facts", `${count(packet.count, "Gaussian")} · interval ${Math.max(1, interval + 1 - instant)}${of} · ${Number(store.about.fps.toFixed(3))} fps`);
   const slider = find("time");
   const frame = Math.round((state.time - start) * store.about.fps) + 1;
   slider.setAttribute("aria-valuetext", `${state.time.toFixed(digits)} seconds of ${end.toFixed(digits)}, frame ${frame}`);

@@ -6,8 +6,9 @@ names they use: `clip.mp4`, `clip.y4m`, `FOLDER` of images, `CLIPS` of clips, a 
 serves a page (SERVES) is stopped as a user stops it. Text that is not possible here is replaced (REPLACED); commands that another part of the tests runs are
 listed with that part (ELSEWHERE). A command that is in neither table and fails, and an entry of a table that no page uses, are errors.
 
-Of docs/recipes.md everything runs, in its order: each line of its ```sh blocks, and each ```python block as a program, in the environment
-PYTHON with viser and Rerun, in TORCH where it imports torch. A recipe without either is an error.
+Of docs/recipes.md everything runs, in its order: each line of its ```sh blocks but those of ELSEWHERE, and each ```python block as a program, in the
+environment PYTHON with viser and Rerun, in TORCH where it imports torch. A recipe without either is an error. The ```html block is that of a page
+which tests/outside/player opens.
 """
 
 import json
@@ -31,6 +32,11 @@ REPLACED = {
 }
 # Beginnings of commands → the tests that run them.
 ELSEWHERE = {
+    "python3 examples/ray_batch.py CLIPS": "tests/outside/ray/run",
+    "python3 examples/ray_long.py clip.y4m clusters.ssz": "tests/outside/ray/run",
+    "python3 examples/ray_long.py clip.mp4 long.ssz": "tests/outside/ray/run",
+    "pip install .": "tests/outside/python/run",
+    "cargo build --release --features wgpu": "tests/outside/wgpu/run",
     "tests/run": "it is what runs this",
     "tests/emulated/run.sh": ".ci/run",
     "streamsplat golden": "tests/outside/golden/run",
@@ -77,6 +83,7 @@ def prepare(scratch: Path, root: Path, program: Path) -> dict[str, str]:
     for folder in ("FOLDER", "CLIPS/one", "CLIPS/two"):
         (scratch / folder).mkdir(parents=True)
         subprocess.run([*ffmpeg, scratch / folder / "%06d.png"], check=True)
+    shutil.copy(scratch / "clip.mp4", scratch / "CLIPS/three.mp4")
     for kind in ("safetensors", "json"):
         shutil.copy(root / f"fixtures/parity/tiny-dino.{kind}", scratch / f"streamsplat.{kind}")
         # The kind of a file follows from its content, not from its name.
@@ -174,6 +181,10 @@ def recipes(page: Path, scratch: Path, environment: dict[str, str], pythons: lis
     """Runs all steps of a page of recipes; returns how many ran and how many failed."""
     ran = failed = 0
     for kind, text in steps_of(page):
+        known = next((start for start in ELSEWHERE if text.startswith(start)), None)
+        if known:
+            used.add(known)
+            continue
         for part, instead in REPLACED.items():
             if kind == "sh" and part in text:
                 used.add(part)

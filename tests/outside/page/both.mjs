@@ -303,7 +303,7 @@ async function soon() {
   }
   const best = Math.min(...times);
   console.log(`${name}: first picture of ten seconds (${(statSync(html).size / 1e6).toFixed(1)} MB) after ${times.map((time) => time.toFixed(0)).join(", ")} ms`);
-  check(best < 3 * FIRST, `expected the first picture after ${FIRST} ms, found ${best}`);
+  check(best < 3 * FIRST, `expected the first picture after at most ${3 * FIRST} ms (${FIRST} on a quiet machine), found ${best}`);
 }
 
 let page = await opened(DESK);

@@ -540,9 +540,13 @@ async function cut(png, left) {
   return Buffer.from(cut, "base64");
 }
 
-/** The example of the element. */
+/** The example of the element, and the page of docs/recipes.md with another scene's name. */
 async function example() {
   const page = await opened([960, 700]);
+  const [, recipe] = /^```html\n(.*?)^```/ms.exec(readFileSync("docs/recipes.md", "utf8"));
+  writeFileSync(`${scratch}/recipe.html`, `<!doctype html><base href="/">${recipe.replace("drawn.ssz", "scratch/scene.ssz")}`);
+  await page.goto(`${server.address}/scratch/recipe.html`);
+  await page.waitForFunction(() => document.querySelector("streamsplat-player").player?.pictures > 0);
   await page.goto(`${server.address}/player/examples/player.html?src=/scratch/scene.ssz`);
   await page.waitForFunction(() => document.querySelector("streamsplat-player").player?.pictures > 3);
   await keep(page, "example");

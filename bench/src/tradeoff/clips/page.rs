@@ -30,7 +30,7 @@ pub(super) fn table(record: &Record) -> String {
         Column::Number("between, dB", 0),
         Column::Number("all, dB", 0),
         Column::Number("moving clips over the cross-fade", 0),
-        Column::Number("still ones", 0),
+        Column::Number("still ones (cross-fade of 26 dB or more)", 0),
         Column::Number("ms per input frame", 0),
     ];
     let shown = |row: &&Configuration| {

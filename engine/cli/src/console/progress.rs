@@ -194,7 +194,8 @@ impl State {
             let left = left.map_or_else(String::new, |left| format!(", {left} left"));
             format!(" of {n} ({percent} %{left})")
         });
-        Some(format!("{}{} {}, {each:.3} s each", self.done, of.unwrap_or_default(), self.what))
+        let what = if self.total.unwrap_or(self.done) == 1 { singular(self.what) } else { self.what.to_owned() };
+        Some(format!("{}{} {what}, {each:.3} s each", self.done, of.unwrap_or_default()))
     }
 
     fn say(&mut self) {
@@ -202,6 +203,12 @@ impl State {
             let _ = writeln!(std::io::stderr(), "{line}");
         }
     }
+}
+
+/// Returns a description of items with its first word for one of them.
+fn singular(what: &str) -> String {
+    let (word, rest) = what.split_at(what.find(|c: char| !c.is_alphabetic()).unwrap_or(what.len()));
+    format!("{}{rest}", word.strip_suffix('s').unwrap_or(word))
 }
 
 /// Formats seconds for the terminal.
@@ -235,6 +242,22 @@ mod tests {
         progress.phase("images; finishing the files");
         assert!(line(&progress).is_some_and(|line| line.contains("finishing")));
         assert_eq!(line(&progress), None);
+    }
+
+    #[test]
+    fn one_item_has_the_word_for_one() {
+        let console = Console { quiet: true, ..Console::default() };
+        for (what, total, expected) in
+            [("images", Some(1), "1 of 1 (100 %) image,"), ("MB read", Some(1), "1 of 1 (100 %) MB read,")]
+        {
+            let mut progress = Progress::new(what, total, &console);
+            progress.step();
+            let line = lock(&progress.state).line();
+            assert!(line.as_ref().is_some_and(|line| line.starts_with(expected)), "{line:?}");
+        }
+        let mut progress = Progress::new("frames; finishing the files", None, &console);
+        progress.step();
+        assert!(lock(&progress.state).line().is_some_and(|line| line.starts_with("1 frame; finishing the files,")));
     }
 
     #[test]

@@ -234,7 +234,7 @@ impl Limit {
 
 #[derive(Args, Clone)]
 pub struct EvalArgs {
-    /// A video as for run, or a folder of such folders
+    /// A video as for run, or a folder of such videos
     pub input: PathBuf,
     #[command(flatten)]
     pub stream: StreamOptions,

@@ -66,7 +66,7 @@ fn a_recording_says_what_it_changed() {
     let other = LIST.replace("64x48", "64x50") + "[[render]]\nname = 'more'\nscene = 'scene.ply'\nsize = '8x8'\n";
     std::fs::write(&list, other).expect("writable");
     let text = fails(&golden("check", &list, &[]), 1);
-    assert!(text.contains("checks failed"), "{text}");
+    assert!(text.contains("images differ, 1 other check failed"), "{text}");
     let table = String::from_utf8(golden("check", &list, &[]).stdout).expect("text");
     assert!(table.contains("expected 64x48 pixels, found 64x50\n"), "{table}");
     let text = again(&list);
@@ -97,7 +97,10 @@ fn one_bit_of_one_colour_is_found() {
     let (junit, found) = (scratch.path("junit.xml"), scratch.path("found.json"));
     let [junit_option, found_option] = [format!("--junit={}", junit.display()), format!("--json={}", found.display())];
     let text = fails(&golden("check", &list, &[&junit_option, &found_option]), 1);
-    assert!(text.contains("checks failed; see") && text.contains("list.failed"), "{text}");
+    assert!(
+        text.contains(" differ, ") && text.contains(" other checks failed; see") && text.contains("list.failed"),
+        "{text}"
+    );
     let found = json(&found);
     let front = &found["checks"][0];
     assert_eq!((&front["render"], &front["passed"]), (&"front".into(), &false.into()), "{found}");
@@ -125,7 +128,7 @@ fn a_scene_that_changed_where_no_image_shows_it_is_said() {
     let commented = [&text[..end], b"comment another\n", &text[end..]].concat();
     std::fs::write(&scene, commented).expect("writable");
     let output = golden("check", &list, &[]);
-    assert!(fails(&output, 1).contains("2 of 6 checks failed"));
+    assert!(fails(&output, 1).contains("list.toml: 2 other checks failed"));
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(said.contains("the scene changed, and no bit of an image"), "{said}");
 }

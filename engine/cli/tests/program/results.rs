@@ -233,6 +233,7 @@ fn evaluation_reports_key_and_middle_frames_and_baselines() {
     std::fs::create_dir(&clips).expect("writable");
     scratch.clip("clips/b2", 7, 80, 48);
     scratch.clip("clips/b10", 4, 80, 48);
+    std::fs::write(scratch.path("clips/notes.txt"), "not a clip").expect("writable");
     let evaluate = |more: &[&str]| {
         let figures = scratch.path("eval.json");
         let output = command()

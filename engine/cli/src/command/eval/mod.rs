@@ -21,6 +21,7 @@ use streamsplat::gap::interpolation::Small;
 use streamsplat::gap::{Gap, predicted};
 use streamsplat::lpips::Lpips;
 use streamsplat::picture::Picture;
+use streamsplat::recognise::{self, Kind, Media};
 use streamsplat::source::{self, Source};
 use streamsplat::stream::{Interval, Reconstructor, Reuse, Settings};
 use streamsplat::{Engine, Image, Size};
@@ -83,7 +84,7 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     let settings = stream.settings(args.fit, &args.machine)?;
     let of_size = |size| ViewOptions { size: Some(size), renderer: args.renderer, ..ViewOptions::default() }.resolve();
     let views = Sizes { compared: of_size(args.size)?, own: of_size(Size::Source)? };
-    let clips = clips(&args.input)?;
+    let clips = clips(&args.input, console)?;
     let mut lpips = args.lpips_model.as_deref().map(Lpips::open).transpose()?;
     if clips.len() > 1 && matches!(depth, DepthFrom::Folder(..)) {
         return Err(Failure::usage("--depth: one folder of maps cannot serve several clips"));
@@ -160,26 +161,37 @@ pub fn command(args: &EvalArgs, console: &Console) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Returns the clip itself, or the clips of a folder of folders, in natural order.
-fn clips(input: &Path) -> Result<Vec<PathBuf>, Failure> {
+/// Returns the clip itself, or the videos and folders of images in a folder, in natural order, and notes other files.
+fn clips(input: &Path, console: &Console) -> Result<Vec<PathBuf>, Failure> {
     if !input.is_dir() || folder::has_images(input) {
         return Ok(vec![input.to_owned()]);
     }
     let unreadable = |e: std::io::Error| Failure::work(format!("{}: {e}", input.display()));
-    let mut clips = Vec::new();
+    let (mut clips, mut others) = (Vec::new(), Vec::new());
     for entry in std::fs::read_dir(input).map_err(unreadable)? {
         let entry = entry.map_err(unreadable)?;
         let path = entry.path();
         let hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
-        let video = path.extension().is_some_and(|e| e == "y4m");
+        let video = matches!(recognise::kind(&path), Some(Kind::Media(Media::Video, _)))
+            || path.extension().is_some_and(|ending| ending == "y4m");
         if !hidden && (video || (path.is_dir() && folder::has_images(&path))) {
             clips.push(path);
+        } else if !hidden {
+            others.push(path);
         }
     }
     let name = |path: &PathBuf| path.file_name().map(|n| n.as_encoded_bytes().to_vec()).unwrap_or_default();
     clips.sort_by(|a, b| folder::natural::compare(&name(a), &name(b)));
     if clips.is_empty() {
         return Err(Failure::work(format!("{}: the folder holds neither images nor clips", input.display())));
+    }
+    if let Some(first) = others.iter().min() {
+        let first = first.file_name().unwrap_or_default().to_string_lossy();
+        console.note(&[format!(
+            "{}: {} besides the clips, such as {first}",
+            input.display(),
+            count(others.len(), "name")
+        )]);
     }
     Ok(clips)
 }

@@ -333,8 +333,24 @@ fn check(args: &GoldenCheckArgs, console: &Console) -> Result<(), Failure> {
     }
     let beside = if failures.prepared { format!("; see {}", folder.display()) } else { String::new() };
     let contract = contract.map_or_else(String::new, |contract| format!("; {contract}"));
-    let of = count(rows.len(), "check");
-    Err(Failure::work(format!("{}: {failed} of {of} failed{beside}{contract}", args.file.display())))
+    Err(Failure::work(format!("{}: {}{beside}{contract}", args.file.display(), failed_of(&rows))))
+}
+
+/// Counts what failed: images, and the checks of a list, a scene or a number of images.
+fn failed_of(rows: &[Check]) -> String {
+    let (images, others): (Vec<&Check>, Vec<&Check>) = rows.iter().partition(|row| row.time.is_some());
+    let failed = |rows: &[&Check]| rows.iter().filter(|row| row.failure.is_some()).count();
+    let mut parts = Vec::new();
+    if failed(&images) > 0 {
+        parts.push(format!("{} of {} differ", failed(&images), count(images.len(), "image")));
+    }
+    if failed(&others) > 0 {
+        parts.push(format!(
+            "{} failed",
+            count(failed(&others), if images.is_empty() { "check" } else { "other check" })
+        ));
+    }
+    parts.join(", ")
 }
 
 /// Prints the table, or JSON.
