@@ -136,8 +136,9 @@ export class Drawing {
   }
 
   /** Sets the view's uniforms, and the records in their order. */
-  setView(at, view, order, mode) {
+  setView(at, view, order, { mode, share }) {
     const { gl } = this;
+    gl.uniform1f(at.grow, 1 / Math.sqrt(share));
     this.bind(this.records, 0);
     gl.uniform1i(at.records, 0);
     gl.uniform3fv(at.eye, view.eye);
@@ -152,7 +153,7 @@ export class Drawing {
   }
 
   /** Activates a still scene's program. */
-  useStill(packet, order, view, mode) {
+  useStill(packet, order, view, looks) {
     const { gl } = this;
     const { program, at } = (this.still ??= this.program("still.vert", "splat.frag"));
     gl.useProgram(program);
@@ -161,12 +162,12 @@ export class Drawing {
     gl.uniform1i(at.degree, packet.degree);
     gl.uniform1i(at.antialiased, packet.antialiased ? 1 : 0);
     gl.uniform2fv(at.ends, view.ends);
-    this.setView(at, view, order, mode);
+    this.setView(at, view, order, looks);
     return at;
   }
 
   /** Prepares a packet's records, and activates the program that draws them. */
-  useMoving(packet, order, t, view, mode) {
+  useMoving(packet, order, t, view, looks) {
     const { gl, prepare: { program, at } } = this;
     gl.useProgram(program);
     this.bind(this.rates, 2);
@@ -177,7 +178,7 @@ export class Drawing {
     gl.uniform1f(at.t, t);
     gl.uniform2fv(at.own, view.own);
     gl.uniform1f(at.units, view.units);
-    this.setView(at, view, order, mode);
+    this.setView(at, view, order, looks);
     const rows = Math.ceil(order.length / PER_ROW);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.preparing);
     if (rows > this.preparedRows) {
@@ -202,7 +203,7 @@ export class Drawing {
     gl.uniform1i(this.splat.at.places, 4);
     gl.uniform1i(this.splat.at.others, 5);
     gl.uniform1i(this.splat.at.total, order.length);
-    gl.uniform1i(this.splat.at.mode, mode);
+    gl.uniform1i(this.splat.at.mode, looks.mode);
     return this.splat.at;
   }
 
@@ -237,17 +238,17 @@ export class Drawing {
   }
 
   /**
-   * Draws a packet's records in `order` at t in [0, 1]; `range` are the ends of the scale of inverse depths. The view determines the size of the
-   * picture. It is drawn to the canvas, or to another framebuffer with its lower left corner at x, y.
+   * Draws a packet's records in `order` at t in [0, 1]; `range` are the ends of the scale of inverse depths, `share` the fraction of the records that
+   * the order was chosen from, whose Gaussians are drawn larger by its root. The view determines the size of the picture. It is drawn to the canvas, or to another framebuffer with its lower left corner at x, y.
    */
-  draw(packet, order, t, view, { mode, background, range }, { framebuffer = null, x = 0, y = 0 } = {}) {
+  draw(packet, order, t, view, { mode, background, range, share = 1 }, { framebuffer = null, x = 0, y = 0 } = {}) {
     const { gl, resolve } = this;
     const { width, height } = view;
     this.resize(width, height);
     let at = null;
     if (order.length) {
       this.upload(packet);
-      at = packet.still ? this.useStill(packet, order, view, mode) : this.useMoving(packet, order, t, view, mode);
+      at = packet.still ? this.useStill(packet, order, view, { mode, share }) : this.useMoving(packet, order, t, view, { mode, share });
     }
     gl.viewport(0, 0, width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);

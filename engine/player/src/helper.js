@@ -39,7 +39,7 @@ export class Helper {
 
 /** Returns true if two questions request the same order. */
 const sameOrder = (a, b) => a.interval === b.interval && a.t === b.t && sameView(a.view, b.view);
-const sameView = (a, b) => a.eye.every((x, i) => x === b.eye[i]) && a.axes.flat().every((x, i) => x === b.axes.flat()[i]) && a.pinhole === b.pinhole;
+const sameView = (a, b) => a.eye.every((x, i) => x === b.eye[i]) && a.axes.flat().every((x, i) => x === b.axes.flat()[i]) && a.pinhole === b.pinhole && (a.share ?? 1) === (b.share ?? 1);
 
 /** Orders of records: one question is open at a time, and the last requested order is the next question. */
 export class Orders {
@@ -55,16 +55,16 @@ export class Orders {
     this.work = { orders: 0, records: 0, moved: 0 };
   }
 
-  /** Returns the last order of an interval, and whether it is that of t and the view. */
+  /** Returns the last order of an interval, the share of the records in it, and whether it is that of t and the view. */
   of(interval, t, view) {
     const last = this.known.get(interval);
-    return last ? { order: last.order, exact: last.t === t && sameView(last.view, view) } : null;
+    return last ? { order: last.order, share: last.view.share ?? 1, exact: last.t === t && sameView(last.view, view) } : null;
   }
 
   /** Requests the order at t, and the following interval's first one, if that has none. */
   want(interval, t, view, following) {
-    const { eye, axes, units, pinhole, still } = view;
-    const seen = { eye, axes, units, pinhole, still };
+    const { eye, axes, units, pinhole, still, share } = view;
+    const seen = { eye, axes, units, pinhole, still, share };
     const question = { interval, t, view: seen };
     const comes = this.of(interval, t, view)?.exact || (this.asking && sameOrder(this.asking, question));
     this.wanted = comes ? null : question;

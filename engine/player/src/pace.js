@@ -1,19 +1,23 @@
-// Control of the frame rate: if frames are slow during motion, they are drawn with fewer pixels, until motion stops or frames are fast again.
+// Control of the frame rate: if frames are slow during motion, they are drawn with fewer pixels and fewer Gaussians, until motion stops or frames are fast
+// again.
 
 import { clamp } from "./camera.js";
 
-/** Maximum time between pictures, in milliseconds, and the minimum fraction of the pixels per side. */
-const SLOW = 36;
-const LEAST = 0.3;
-/** Fraction of that time below which there is room for more pixels, and the factor by which a side then grows. */
+/** Maximum time between pictures, in milliseconds, and the least level of detail. */
+const SLOW = 34;
+const LEAST = 0.2;
+/** The minimum fraction of the pixels per side, and the fraction of the Gaussians per level: pixels are reduced first, which is seen less. */
+const FEWEST = 0.3;
+const GAUSSIANS = 1.8;
+/** Fraction of that time below which there is room for more, and the factor by which the level then grows. */
 const [ROOMY, GROWTH] = [0.6, 1.1];
 /** Milliseconds without motion before the picture is drawn with all pixels again. */
 const REST = 400;
 
 export class Pace {
   constructor() {
-    this.detail = 1;
-    /** The level of detail that was fast enough. */
+    /** The level of detail, and the one that was fast enough. */
+    this.level = 1;
     this.quick = 1;
     this.pictures = 0;
     this.drawn = false;
@@ -22,12 +26,22 @@ export class Pace {
     this.times = [];
   }
 
+  /** Fraction of the pixels per side. */
+  get detail() {
+    return Math.max(FEWEST, this.level);
+  }
+
+  /** Fraction of the Gaussians. */
+  get share() {
+    return Math.min(1, GAUSSIANS * this.level);
+  }
+
   drew() {
     this.pictures++;
     this.drawn = true;
   }
 
-  /** Handles one animation frame, with or without motion; returns whether the detail changed. */
+  /** Handles one animation frame, with or without motion; returns whether the level of detail changed. */
   turn(now, moving) {
     const since = now - this.last;
     this.last = now;
@@ -40,9 +54,9 @@ export class Pace {
       else if (middle < ROOMY * SLOW) this.quick = Math.min(1, this.quick * GROWTH);
     }
     if (moving) this.moved = now;
-    const detail = now - this.moved < REST ? this.quick : 1;
-    const changed = detail !== this.detail;
-    this.detail = detail;
+    const level = now - this.moved < REST ? this.quick : 1;
+    const changed = level !== this.level;
+    this.level = level;
     return changed;
   }
 }

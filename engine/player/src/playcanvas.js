@@ -83,7 +83,7 @@ class Splats extends playback(Object) {
     const view = viewOf(clip.camera, this.modelView.data, camera.projectionMatrix.data, width, height);
     const found = clip.at(clock.time, view, { moving: clock.playing, loop: clock.loop });
     if (found) this.take(found);
-    const numbers = { units: view.units, scale: view.scale, pinhole: view.pinhole ? 1 : 0, size: [width, height] };
+    const numbers = { grow: 1, units: view.units, scale: view.scale, pinhole: view.pinhole ? 1 : 0, size: [width, height] };
     const lists = { eye: view.eye, focal: view.focal, own: view.own, turn: new Float32Array(view.axes.flat()), projection: camera.projectionMatrix.data };
     for (const [name, value] of Object.entries({ ...numbers, ...lists })) material.setParameter(name, value);
   }

@@ -297,13 +297,13 @@ export class Player extends EventTarget {
     const found = this.clip.at(this.time, view, { moving: this.playing, loop: this.loop });
     if (!found) return null;
     const { far, near } = depthsOf(found.packet);
-    return { ...found, looks: { mode: this.shownMode, background: this.colour, range: [far, near] } };
+    return { ...found, looks: { mode: this.shownMode, background: this.colour, range: [far, near], share: found.share } };
   }
 
   /** Draws the clip at the time; returns false if it is not loaded yet. */
   draw() {
     const { canvas, clip, drawing, playing, time } = this;
-    const view = clip.camera.view(canvas.width, canvas.height);
+    const view = { ...clip.camera.view(canvas.width, canvas.height), share: this.pace.share };
     const found = this.found(view);
     if (!found) return false;
     const { packet, order, t, exact, looks } = found;

@@ -107,6 +107,7 @@ uniform float units;  // square units along x and z per unit of scene space
 uniform bool pinhole;
 uniform vec2 own;     // the model's pixels per square unit
 uniform int mode;     // 0 colour, 1 inverse depth, 2 identity
+uniform float grow;   // factor of deviations: above 1 where some Gaussians stand for all
 
 float ahead;          // depth in the view, in square units
 
@@ -150,7 +151,7 @@ bool splatOf(out vec2 centre, out vec3 m1, out vec3 m2, out vec3 value, out floa
   vec3 sigma = square * vec3(s, 0.5 * (s.x + s.y) * thickness);
   vec2 unit = pinhole ? focal / view.z : focal;
   vec2 more = LOW_PASS * max(vec2(0.0), 1.0 / (own * own) - 1.0 / (unit * unit));
-  sigma = sqrt(sigma * sigma + vec3(more, 0.5 * (more.x + more.y)));
+  sigma = grow * sqrt(sigma * sigma + vec3(more, 0.5 * (more.x + more.y)));
   m1 = turn[0] * sigma;
   m2 = turn[1] * sigma;
   vec3 m3 = turn[2] * sigma;
@@ -247,6 +248,7 @@ uniform bool pinhole;
 uniform vec2 size;    // pixels
 uniform int mode;     // 0 colour, 1 depth, 2 each in a colour of its own
 uniform vec2 ends;    // depths of the scale's ends, near and far
+uniform float grow;   // factor of deviations: above 1 where some Gaussians stand for all
 
 const float BESIDE = 0.65; // of the image, from its middle
 
@@ -306,7 +308,7 @@ void main() {
   vec3 view = away * turn;
   if (view.z <= (pinhole ? 1e-6 : 0.0)) return;
 
-  vec3 sigma = exp(48.0 / 65535.0 * vec3(halves(a.w), b.x & 0xffffu) - 24.0);
+  vec3 sigma = grow * exp(48.0 / 65535.0 * vec3(halves(a.w), b.x & 0xffffu) - 24.0);
   mat3 own = rotation(uvec3(b.z >> 16, b.w & 0xffffu, b.w >> 16));
   vec3 m1 = (turn[0] * own) * sigma, m2 = (turn[1] * own) * sigma, m3 = (turn[2] * own) * sigma;
   vec2 centre = focal * view.xy;

@@ -5,6 +5,8 @@ import { depthOf } from "./motion.js";
 import { SHORTS, WORDS } from "./packet.js";
 
 const BINS = 1 << 16;
+/** 2³² times the golden ratio's fraction: multiples of it are even over 2³², so that records which are chosen by them are even over a picture. */
+const GOLDEN = 0x9e3779b9;
 /** Maximum fraction of records that are moved one by one; if more moved, all are sorted. */
 const FEW = 1 / 8;
 
@@ -17,6 +19,8 @@ export class Sorter {
     this.position = new Float32Array(count * 3);
     this.velocity = new Float32Array(this.still ? 0 : count * 3);
     this.reference = new Uint8Array(this.still ? 0 : count);
+    /** By which records are chosen where not all are drawn: the same Gaussian in each interval has the same number. */
+    this.turn = Uint32Array.from({ length: count }, (_, i) => Math.imul(this.still ? i : packet.words[i * WORDS + 6], GOLDEN));
     for (let i = 0; i < count; i++) {
       if (this.still) {
         this.position.set(packet.floats.subarray(i * WORDS, i * WORDS + 3), 3 * i);
@@ -37,7 +41,10 @@ export class Sorter {
     this.sorted = false;
   }
 
-  /** Returns the records that may be visible at t, nearest first, equal depths in drawing order, and the numbers of records visited and moved. */
+  /**
+   * Returns the records that may be visible at t, nearest first, equal depths in drawing order, and the numbers of records visited and moved. Where the
+   * view has a `share` below 1, only so many of them.
+   */
   sort(t, view) {
     this.look(t, view);
     let moved = this.sorted ? this.mend() : -1;
@@ -47,8 +54,9 @@ export class Sorter {
     }
     this.sorted = true;
     const shown = new Uint32Array(this.count);
+    const most = (view.share ?? 1) * 2 ** 32;
     let total = 0;
-    for (const i of this.order) if (this.seen[i]) shown[total++] = i;
+    for (const i of this.order) if (this.seen[i] && this.turn[i] < most) shown[total++] = i;
     return { order: shown.slice(0, total), work: { records: this.count, moved } };
   }
 

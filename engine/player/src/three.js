@@ -46,6 +46,7 @@ export async function load(THREE, source, options = {}) {
         ...Object.fromEntries(["positionLow", "positionStep", "velocityLow", "velocityStep", "eye"].map((name) => [name, value(new THREE.Vector3())])),
         ...Object.fromEntries(["focal", "own", "size"].map((name) => [name, value(new THREE.Vector2())])),
         ...Object.fromEntries(["rateStep", "beyond", "t", "units", "scale"].map((name) => [name, value(0)])),
+        grow: value(1),
         pinhole: value(false),
         mode: value(COLOUR),
       };

@@ -20,14 +20,14 @@ function askSize() {
 
 /** Saves what is on the screen as a PNG file of width × height pixels. */
 function savePicture(width, height) {
-  const { packet, order, t } = state.shown;
+  const { packet, order, t, share } = state.shown;
   const limit = Math.min(LARGEST, drawing.largest);
   if (!(width >= 1 && height >= 1 && width <= limit && height <= limit)) {
     refuse(`expected 1 to ${limit} pixels a side, found ${width}×${height}`);
     return;
   }
   [canvas.width, canvas.height] = [width, height];
-  drawing.draw(packet, order, t, camera.view(width, height), appearance(packet));
+  drawing.draw(packet, order, t, camera.view(width, height), { ...appearance(packet), share });
   // Taken before the browser shows anything: the canvas has its own size again in the next picture.
   canvas.toBlob((blob) => {
     const link = document.createElement("a");

@@ -209,20 +209,20 @@ function sceneFrom(view) {
   const t = packet.end > packet.start ? clamp((state.time - packet.start) / (packet.end - packet.start), 0, 1) : 0;
   orders.want(interval, t, view, moving() && store.kept.has(interval + 1) ? interval + 1 : null);
   const found = orders.of(interval, t, view);
-  return found && { packet, interval, t, ...found, looks: appearance(packet) };
+  return found && { packet, interval, t, ...found, looks: { ...appearance(packet), share: found.share } };
 }
 
 const moving = () => state.playing || state.following;
 
 /** Draws the scene at the state's time; false where that is still to come. */
 function picture() {
-  const view = camera.view(canvas.width, canvas.height);
+  const view = { ...camera.view(canvas.width, canvas.height), share: pace.share };
   const found = sceneFrom(view);
   if (!found) return false;
   // The order of a moment ago serves while things move; where they rest, the picture is exact.
   const { packet, interval, t, order, exact, looks } = found;
   drawing.draw(packet, order, t, view, looks);
-  state.shown = { packet, interval, order, t, view };
+  state.shown = { packet, interval, order, t, view, share: looks.share };
   pace.drew();
   find("poster")?.remove();
   if (moving() || (exact && pace.detail === 1)) canvas.dataset.shown = String(state.time);

@@ -37,6 +37,7 @@ ELSEWHERE = {
     "python3 examples/ray_long.py clip.mp4 long.ssz": "tests/outside/ray/run",
     "pip install .": "tests/outside/python/run",
     "cargo build --release --features wgpu": "tests/outside/wgpu/run",
+    "cargo doc --no-deps -p streamsplat": ".ci/run",
     "tests/run": "it is what runs this",
     "tests/emulated/run.sh": ".ci/run",
     "streamsplat golden": "tests/outside/golden/run",
