@@ -2,6 +2,8 @@
 
 /** Sides of a saved picture, in pixels, at most. */
 const LARGEST = 8192;
+/** How often a picture that is not at rest is looked at again, 50 ms apart. */
+const TRIES = 600;
 
 function toggleFullscreen() {
   if (document.fullscreenElement) document.exitFullscreen();
@@ -18,16 +20,21 @@ function askSize() {
   find("picture").showModal();
 }
 
-/** Saves what is on the screen as a PNG file of width × height pixels. */
-function savePicture(width, height) {
-  const { packet, order, t, share } = state.shown;
+/** Saves what is on the screen as a PNG file of width × height pixels, once it is at rest. */
+async function savePicture(width, height) {
   const limit = Math.min(LARGEST, drawing.largest);
   if (!(width >= 1 && height >= 1 && width <= limit && height <= limit)) {
     refuse(`expected 1 to ${limit} pixels a side, found ${width}×${height}`);
     return;
   }
+  // With all Gaussians, in the order of this view.
+  for (let tries = 0; !state.shown?.whole; tries++) {
+    if (tries === TRIES) return refuse("the picture is not at rest");
+    await wait(50);
+  }
+  const { packet, order, t } = state.shown;
   [canvas.width, canvas.height] = [width, height];
-  drawing.draw(packet, order, t, camera.view(width, height), { ...appearance(packet), share });
+  drawing.draw(packet, order, t, camera.view(width, height), appearance(packet));
   // Taken before the browser shows anything: the canvas has its own size again in the next picture.
   canvas.toBlob((blob) => {
     const link = document.createElement("a");

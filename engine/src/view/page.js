@@ -222,10 +222,10 @@ function picture() {
   // The order of a moment ago serves while things move; where they rest, the picture is exact.
   const { packet, interval, t, order, exact, looks } = found;
   drawing.draw(packet, order, t, view, looks);
-  state.shown = { packet, interval, order, t, view, share: looks.share };
+  state.shown = { packet, interval, order, t, view, whole: exact && looks.share === 1 };
   pace.drew();
   find("poster")?.remove();
-  if (moving() || (exact && pace.detail === 1)) canvas.dataset.shown = String(state.time);
+  if (moving() || (state.shown.whole && pace.detail === 1)) canvas.dataset.shown = String(state.time);
   describe();
   mark();
   // An order that is still to come makes it due again.
