@@ -47,6 +47,7 @@ export class Camera {
     this.depth = 0.5; // depth of the target, in scene space
     this.perspective = false;
     this.box = null; // of a still scene: its middle and half extents
+    this.source = null; // of a still scene with a camera from straight ahead: the middle and half extents of its image
     this.unit = 1; // unit of shifts, in scene units
     /** Whether turning beyond FREE is resisted. */
     this.bounded = false;
@@ -74,13 +75,15 @@ export class Camera {
     this.middle = [this.units * ((2 * offset[1] + content[1]) / model[1] - 1), (2 * offset[0] + content[0]) / model[0] - 1];
   }
 
-  /** Sets the box that contains most of a still scene. */
-  frame({ least, greatest }) {
+  /** Sets the box that contains most of a still scene; `view`: middle and half extents of what its own camera sees, if it has one. */
+  frame({ least, greatest, view = null }) {
     const middle = least.map((low, i) => 0.5 * (low + greatest[i]));
     const half = least.map((low, i) => 0.5 * (greatest[i] - low));
-    this.box = { middle, half };
+    this.box = { middle: view ? [...view[0], middle[2]] : middle, half };
+    this.source = view;
     this.unit = Math.hypot(...half) || 1;
-    this.home = { yaw: half[2] > FRAMING.deeper * half[0] ? -90 : 0, pitch: FRAMING.elevation, lens: "perspective" };
+    const turned = { yaw: half[2] > FRAMING.deeper * half[0] ? -90 : 0, pitch: FRAMING.elevation, lens: "perspective" };
+    this.home = view ? { yaw: 0, pitch: 0, lens: "parallel" } : turned;
     this.reset();
   }
 
@@ -123,7 +126,8 @@ export class Camera {
   /** Returns the view of a still scene; `ends` are the depths of the scale's ends. */
   stillView(width, height) {
     const length = 0.5 / Math.tan(FRAMING.half * TURN);
-    const whole = this.distance([(length * height) / width, length]);
+    const own = this.source && Math.min(width / this.source[1][0], height / this.source[1][1]) / 2;
+    const whole = own ? (length * height) / own : this.distance([(length * height) / width, length]);
     // Orthographic rays start far before everything except stray Gaussians.
     const distance = this.perspective ? whole / this.zoom : whole + 100 * this.unit;
     const axes = this.axes;

@@ -524,7 +524,8 @@ function stand(still) {
     element.dataset.moving ??= element.textContent;
     element.textContent = element.dataset.still;
   }
-  find("home").title = "Back to where all of it is seen from (R)";
+  if (still.view) find("home").textContent = find("home").dataset.moving;
+  else find("home").title = "Back to where all of it is seen from (R)";
   document.querySelector("[data-mode='2']").title = "Each Gaussian in a colour of its own (3)";
 }
 

@@ -255,6 +255,20 @@ async function stills() {
   check((await view.ended) === 0, "Ctrl-C ends the server well");
 }
 
+/** A file that was exported from a scene is seen first from the source's camera, as `render` sees it. */
+async function exported() {
+  const path = `${scratch}/exported.ply`;
+  run(streamsplat, "export", scene, "--times", "0.1", "--quiet", "--out", path);
+  const view = start(streamsplat, ["view", path, "--port", "0"], "stdout");
+  const address = (await view.line).split(" ")[0];
+  const { dB } = await compare(page, address, { t: 0, canonical: true }, path);
+  console.log(`a file exported from a scene, from the source's camera: ${dB.toFixed(1)} dB`);
+  check(dB >= STILL, `a file exported from a scene: expected ${STILL} dB beside our render, found ${dB}`);
+  check((await page.locator("#home").textContent()) === "Source view", "the button is that of the source's view");
+  view.child.kill("SIGINT");
+  await view.ended;
+}
+
 /** Marks of anti-aliased training: drawn as `render` draws them, with opacities lowered by √(det before / det after), and picked likewise. */
 async function antialiased() {
   const [marked, dots] = [`${scratch}/marked.ply`, `${scratch}/dots.ply`];
@@ -638,6 +652,7 @@ check((await view.ended) === 0, "Ctrl-C ends the server well");
 await nothing();
 await changing();
 await stills();
+await exported();
 await antialiased();
 await live();
 await browser.close();

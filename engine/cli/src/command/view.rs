@@ -11,8 +11,9 @@ use streamsplat::output::{Partial, folder_of, write_whole};
 use streamsplat::run::Stop;
 use streamsplat::view::{Link, PageError, Recorded, Server, StillSource, Whole, poster, write_page};
 
+use crate::command::export::camera_of;
 use crate::console::failure::Failure;
-use crate::console::opening::open_along;
+use crate::console::opening::{open_along, say_of};
 use crate::console::serving::title;
 use crate::console::{Console, say};
 use crate::options::args::ViewArgs;
@@ -39,8 +40,23 @@ pub fn command(args: &ViewArgs, console: &Console) -> Result<(), Failure> {
     let name = title(&args.scene);
     match open_along(&args.scene, &args.limit.limits(), args.reading.axes()?, Some(&workers), console)? {
         Opened::Moving(scene) => show(Recorded::new(name, scene, workers), args, console),
-        Opened::Still(file) => show(StillSource::new(name, file, workers)?, args, console),
+        Opened::Still(file) => {
+            let mut source = StillSource::new(name, file, workers)?;
+            see_as_exported(&mut source, &args.scene, console)?;
+            show(source, args, console)
+        }
     }
+}
+
+/// Shows a scene first from the camera that was exported with the file at `path`, if there is one.
+fn see_as_exported(source: &mut StillSource, path: &Path, console: &Console) -> Result<(), Failure> {
+    let Some(file) = camera_of(path) else { return Ok(()) };
+    let wrong = |e: &dyn std::fmt::Display| Failure::work(format!("{}: {e}", file.display()));
+    let text = std::fs::read_to_string(&file).map_err(|e| wrong(&e))?;
+    let camera = streamsplat::camera::file::parse(&text).map_err(|e| wrong(&e))?.at(0.0);
+    let seen = if source.seen_from(&camera) { "seen first from" } else { "the page has no view like" };
+    say_of(path, &[format!("{seen} {}", file.display())], console);
+    Ok(())
 }
 
 /// Returns true for an `http` or `https` address, which a browser opens as a page; false for other addresses, for

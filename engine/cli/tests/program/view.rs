@@ -296,3 +296,29 @@ fn what_cannot_be_served_is_said() {
     assert!(fails(&view(&["--html", &html.display().to_string()]), 1).contains("interval-000001"));
     assert!(!html.exists());
 }
+
+#[test]
+fn an_exported_file_is_seen_first_from_the_camera_next_to_it() {
+    let scratch = Scratch::new();
+    let (out, file) = (scratch.path("out"), scratch.path("still.splat"));
+    run_ok(&scratch.clip("clip", 2, 40, 24), &out, &["--quiet"]);
+    let mut export = command();
+    export.arg("export").arg(&out).args(["--times", "0", "--quiet", "--out"]).arg(&file);
+    assert!(export.status().expect("the program starts").success());
+    let page = |name: &str| {
+        let html = scratch.path(name);
+        let output = command().arg("view").arg(&file).arg("--html").arg(&html).output().expect("the program starts");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        (said, output.status.code(), std::fs::read_to_string(html).unwrap_or_default())
+    };
+    let camera = scratch.path("still.splat.camera.json");
+    let (said, code, html) = page("seen.html");
+    assert!(code == Some(0) && said.contains("seen first from") && html.contains("\"view\":[["), "{said}");
+    let pinhole = r#"{"type": "pinhole", "position": [0, 0, -3], "fov_y_degrees": 60, "aspect": 1}"#;
+    std::fs::write(&camera, pinhole).expect("writable");
+    let (said, code, html) = page("other.html");
+    assert!(code == Some(0) && said.contains("the page has no view like") && !html.contains("\"view\":[["), "{said}");
+    std::fs::write(&camera, "{}").expect("writable");
+    let (said, code, html) = page("broken.html");
+    assert!(code == Some(1) && said.contains("still.splat.camera.json") && html.is_empty(), "{said}");
+}

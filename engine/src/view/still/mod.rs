@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use super::page::{PageError, Whole};
 use super::source::{Description, IntervalTimes, Source};
+use crate::camera::{Camera, Lens, Pose};
 use crate::open::StillFile;
 use crate::picture::Picture;
 use crate::render::{RenderError, RenderOptions, Renderer, Size};
@@ -34,6 +35,10 @@ pub struct StillDescription {
     pub least: [f64; 3],
     /// The box's other corner.
     pub greatest: [f64; 3],
+    /// Middle and half extents, along x and y, of the view along +z from which the scene is seen first, if not from
+    /// that of its [`Framing`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub view: Option<[[f64; 2]; 2]>,
 }
 
 /// A still scene with a title.
@@ -44,6 +49,7 @@ pub struct StillSource {
     framing: Framing,
     /// The framing's box, relative to the scene's offset as the page's centres are.
     middle: [[f64; 3]; 2],
+    view: Option<[[f64; 2]; 2]>,
     scene: Drawable,
     packet: Arc<[u8]>,
     workers: Workers,
@@ -71,7 +77,44 @@ impl StillSource {
         let (framing, middle) = file.still.framing().zip(file.still.middle()).ok_or_else(nowhere)?;
         let scene = Drawable::new(file.still, &workers)?;
         let packet = workers.install(|| packet::packet(&scene)).into();
-        Ok(StillSource { title: title.into(), format: file.format, framing, middle, scene, packet, workers })
+        Ok(StillSource {
+            title: title.into(),
+            format: file.format,
+            framing,
+            middle,
+            view: None,
+            scene,
+            packet,
+            workers,
+        })
+    }
+
+    /// Shows the scene first from an orthographic camera that looks along +z, as those of exported files do. Returns
+    /// false for other cameras, which change nothing.
+    pub fn seen_from(&mut self, camera: &Camera) -> bool {
+        let offset = self.scene.still().about.offset;
+        self.view = match camera {
+            Camera::Posed { pose, lens: Lens::Orthographic { half_extent: Some(half) } }
+                if pose.rotation.is_identity() =>
+            {
+                Some([[pose.position[0] - offset[0], pose.position[1] - offset[1]], *half])
+            }
+            _ => None,
+        };
+        self.view.is_some()
+    }
+
+    /// The camera of the poster: that of [`Self::seen_from`], which then shows all of its view, or the framing's.
+    fn camera(&self, aspect: f64) -> Camera {
+        let Some([[x, y], [right, down]]) = self.view else { return self.framing.camera(0.0, aspect) };
+        let offset = self.scene.still().about.offset;
+        let down = down.max(right / aspect);
+        // In front of everything, as the page's is.
+        let [least, greatest] = self.middle;
+        let unit = (0..3).map(|k| (0.5 * (greatest[k] - least[k])).powi(2)).sum::<f64>().sqrt();
+        let ahead = 0.5 * (least[2] + greatest[2]) - 100.0 * unit.max(1.0);
+        let pose = Pose { position: [x + offset[0], y + offset[1], ahead + offset[2]], ..Pose::default() };
+        Camera::Posed { pose, lens: Lens::Orthographic { half_extent: Some([down * aspect, down]) } }
     }
 }
 
@@ -83,7 +126,13 @@ impl Source for StillSource {
             title: self.title.clone(),
             fps: 0.0,
             placement: None,
-            still: Some(StillDescription { format: self.format, degree: self.scene.still().degree, least, greatest }),
+            still: Some(StillDescription {
+                format: self.format,
+                degree: self.scene.still().degree,
+                least,
+                greatest,
+                view: self.view,
+            }),
             live: false,
             complete: true,
             first: 0,
@@ -102,7 +151,7 @@ impl Whole for StillSource {
 
     fn poster(&self) -> Result<Picture, PageError> {
         let [width, height] = POSTER;
-        let camera = self.framing.camera(0.0, width as f64 / height as f64);
+        let camera = self.camera(width as f64 / height as f64);
         let antialias = self.scene.still().about.antialiased;
         let options = RenderOptions { size: Size::Exact { width, height }, antialias, ..RenderOptions::default() };
         let mut renderer = Renderer::new(&self.workers);
