@@ -550,7 +550,11 @@ async function example() {
   const [, recipe] = /^```html\n(.*?)^```/ms.exec(readFileSync("docs/recipes.md", "utf8"));
   writeFileSync(`${scratch}/recipe.html`, `<!doctype html><link rel="icon" href="data:,"><base href="/">${recipe.replace("drawn.ssz", "scratch/scene.ssz")}`);
   await page.goto(`${server.address}/scratch/recipe.html`);
-  await page.waitForFunction(() => document.querySelector("streamsplat-player").player?.pictures > 0);
+  // The page is left when it has read everything: a request that is given up is an error in the log.
+  await page.waitForFunction(() => {
+    const { pictures, clip } = document.querySelector("streamsplat-player").player ?? {};
+    return pictures > 0 && clip.store.kept.size === clip.intervals.length;
+  });
   await page.goto(`${server.address}/player/examples/player.html?src=/scratch/scene.ssz`);
   await page.waitForFunction(() => document.querySelector("streamsplat-player").player?.pictures > 3);
   await keep(page, "example");
