@@ -128,7 +128,7 @@ fn a_scene_that_changed_where_no_image_shows_it_is_said() {
     let commented = [&text[..end], b"comment another\n", &text[end..]].concat();
     std::fs::write(&scene, commented).expect("writable");
     let output = golden("check", &list, &[]);
-    assert!(fails(&output, 1).contains("list.toml: 2 other checks failed"));
+    assert!(fails(&output, 1).contains("list.toml: 2 checks failed"));
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(said.contains("the scene changed, and no bit of an image"), "{said}");
 }

@@ -345,10 +345,8 @@ fn failed_of(rows: &[Check]) -> String {
         parts.push(format!("{} of {} differ", failed(&images), count(images.len(), "image")));
     }
     if failed(&others) > 0 {
-        parts.push(format!(
-            "{} failed",
-            count(failed(&others), if images.is_empty() { "check" } else { "other check" })
-        ));
+        parts
+            .push(format!("{} failed", count(failed(&others), if parts.is_empty() { "check" } else { "other check" })));
     }
     parts.join(", ")
 }
